@@ -2,6 +2,7 @@
 
 import os
 import signal
+import tempfile
 
 import pytest
 from browser import start_browser
@@ -10,6 +11,8 @@ from browser import start_browser
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Without --jobs a command takes one core: tests run one per core already, and what they replace holds in this process.
 os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")
+# No test finds what another run searched, nor leaves what it searched.
+os.environ["HYDRO_CACHE_DIR"] = tempfile.mkdtemp(prefix="hydro-searches-")
 
 
 def pytest_configure():

@@ -1,6 +1,6 @@
-"""Exported controllers in each language of an export, called as a PLC does: ``voltage = run(signals, start)``.
+"""Exported blocks in each language, called as a PLC does: ``outputs = run(inputs)``, both by name.
 
-A signal that is not a number is not valid, unless ``valid`` says so.
+Inputs that are missing have their usual values.
 """
 
 import ctypes
@@ -9,9 +9,11 @@ from collections import ChainMap
 import numpy as np
 import pytest
 
-from hydro_env import equilibrium
 from hydro_rig.export.c_files import WARNINGS, c_compiler, compiled
 from hydro_rig.export.onnx_writer import onnx_session
+
+TYPES = {bool: ctypes.c_int, int: ctypes.c_long, float: ctypes.c_double}
+WHOLE = ("state", "fault_code", "lost_signals")
 
 
 def library(place, *sources):
@@ -23,87 +25,74 @@ def library(place, *sources):
 
 
 class InC:
-    """A controller of a library, with a memory of its own."""
+    """A block of a library; ``reset`` false: zeros instead of a reset."""
 
-    def __init__(self, loaded, name="controller"):
-        self._step = getattr(loaded, f"{name}_step")
-        self._step.restype = ctypes.c_double
-        self._place = (loaded, f"{name}_gains")
-        self._memory = ctypes.create_string_buffer(100_000)
+    def __init__(self, loaded, graph, prefix="controller", reset=True):
+        fields = [(row.name, TYPES[row.kind]) for row in graph.inputs]
+        fields += [(name, ctypes.c_long if name in WHOLE else ctypes.c_double) for name in graph.outputs]
+        size = getattr(loaded, f"{prefix}_size")
+        size.restype = ctypes.c_size_t
+        kind = type("Block", (ctypes.Structure,), {"_fields_": fields})
+        self.buffer = ctypes.create_string_buffer(size())
+        self.self = kind.from_buffer(self.buffer)
+        self.step = getattr(loaded, f"{prefix}_step")
+        self.step.restype = ctypes.c_double
+        self._graph = graph
+        if reset:
+            getattr(loaded, f"{prefix}_reset")(self.buffer)
 
-    def __call__(self, signals, start, valid=None, lost_limit=0):
-        row = np.ascontiguousarray(signals, dtype=np.float64)
-        valid = np.ascontiguousarray(np.isfinite(row) if valid is None else valid, dtype=np.intc)
-        pointers = (array.ctypes.data_as(ctypes.c_void_p) for array in (row, valid))
-        return self._step(self._memory, *pointers, int(start), ctypes.c_long(lost_limit))
+    def fill(self, inputs):
+        for row in self._graph.inputs:
+            setattr(self.self, row.name, row.kind(inputs.get(row.name, row.default)))
 
-    def gains_of(self, names):
-        """The gains of the library by name, which may be changed."""
-        fields = {"_fields_": [(name, ctypes.c_double) for name in names]}
-        items = {"__getitem__": lambda *key: getattr(*key), "__setitem__": lambda *item: setattr(*item)}
-        return type("Gains", (ctypes.Structure,), fields | items).in_dll(*self._place)
+    def __call__(self, inputs):
+        self.fill(inputs)
+        assert self.step(self.buffer) == self.self.command
+        return {name: getattr(self.self, name) for name in self._graph.outputs}
 
 
 class InOnnx:
-    """A controller as an ONNX model; ``lost`` is the number of lost signals of the last call."""
+    """A block as an ONNX model."""
 
-    def __init__(self, file):
-        self._session = onnx_session(file.read_bytes())
-        self._state = np.zeros(self._session.get_inputs()[1].shape)
-        self.lost, self.holding = 0, False
+    def __init__(self, file, graph):
+        self._session, self._graph = onnx_session(file.read_bytes()), graph
+        self._names = [output.name for output in self._session.get_outputs()]
+        self._memory = np.zeros(sum(part.size for part in graph.memory))
 
-    def __call__(self, signals, start, valid=None, lost_limit=0):
-        valid = np.isfinite(signals) if valid is None else valid
-        inputs = {"signals": signals, "state": self._state, "valid": valid, "start": np.array([start])}
-        voltage, self._state, lost, holding = self._session.run(None, {**inputs, "lost_limit": np.array([lost_limit])})
-        self.lost, self.holding = int(lost[0]), bool(holding[0])
-        return float(voltage[0])
+    def __call__(self, inputs):
+        given = {row.name: np.array([inputs.get(row.name, row.default)], row.kind) for row in self._graph.inputs}
+        found = dict(zip(self._names, self._session.run(None, {**given, "memory": self._memory}), strict=True))
+        self._memory = found.pop("next_memory")
+        return {name: value[0] for name, value in found.items()}
 
 
 class InPython:
-    """The controller with measured signals that was exported."""
+    """The block that was exported."""
 
-    def __init__(self, measured):
-        self._measured, self._memory = measured, None
+    def __init__(self, graph):
+        self._block, self.memory = graph.block, None
 
-    @property
-    def holding(self):
-        return bool(self._memory.holding)
-
-    def __call__(self, signals, start, valid=None, lost_limit=0):
-        valid = np.isfinite(signals) if valid is None else valid
-        voltage, self._memory = self._measured(signals, self._memory, start, valid, lost_limit)
-        return voltage
+    def __call__(self, inputs):
+        outputs, self.memory = self._block(inputs, self.memory)
+        return outputs
 
 
-def at_rest(graph, position, reference=None):
-    """Signals of an axis at rest at a position (m), with one reference (m) now and ahead; default: the position."""
-    config = graph.signals.config
-    state, _ = equilibrium(config.plant, position)
-    values = {**state, "reference": position if reference is None else reference, "previous_voltage": 0.0}
-    names = [signal.name for signal in graph.signals.signals]
-    return np.array([values["reference" if name.startswith("reference") else name] for name in names])
+def at_rest(graph, state, reference=None):
+    """Inputs of an enabled block for an axis at rest in a state, with one reference (m) now and ahead."""
+    reference, inputs = state["position"] if reference is None else reference, {"enable": True}
+    for signal in graph.signals.signals:
+        inputs[signal.name] = state[signal.name] if signal.sensor else reference
+        if signal.sensor:
+            inputs[f"valid_{signal.name}"] = True
+    return inputs
 
 
-def assert_it_holds_until_start(run, graph, allowed):
-    """After more lost positions than are ``allowed`` on an axis at rest it holds, until a start with a position."""
-    good, apart = at_rest(graph, 0.01), at_rest(graph, 0.01, 0.02)
-    valid = np.arange(len(good)) != graph.signals.places["position"]
-
-    def holds(*arguments):
-        run(*arguments)
-        return bool(run.holding)
-
-    assert [holds(good, False) for _ in range(3)] == [False] * 3
-    assert [holds(good, False, valid) for _ in range(allowed + 1)] == [False] * allowed + [True]
-    held = run(apart, False)  # the wire is whole again: without start nothing moves
-    assert run(apart, False) == held
-    assert holds(apart, True, valid)  # a start without a position is none
-    assert not holds(apart, True)
-    assert abs(run(apart, False) - held) > 0.2
-    assert [holds(apart, False, valid, 5) for _ in range(6)] == [False] * 5 + [True]  # the limit is an input
+def closed(run, inputs):
+    """Close the loop of a new block."""
+    run(inputs)
+    return run({**inputs, "control": True})
 
 
-def sources_in(folder):
-    """C sources of a controller in a folder, without its test program."""
-    return {name: (folder / name).read_text(encoding="utf-8") for name in ("controller.c", "controller.h")}
+def sources_in(folder, prefix="controller"):
+    """C sources of a block in a folder, without its test program."""
+    return {name: (folder / name).read_text(encoding="utf-8") for name in (f"{prefix}.c", f"{prefix}.h")}

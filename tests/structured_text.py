@@ -18,12 +18,12 @@ SIGNS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
 WORDS = {"AND": "and", "OR": "or", "NOT": "not", "TRUE": "True", "FALSE": "False", "=": "==", "<>": "!="}
 WORD = re.compile(r"\b(?:AND|OR|NOT|TRUE|FALSE)\b|<>|(?<![<>=])=")
 NUMBER = re.compile(r"-?\d+\.\d+(?:E[-+]?\d+)?|-?\d+")
-KINDS = {"LREAL": 0.0, "REAL": 0.0, "BOOL": False, "LINT": 0, "DINT": 0}
+KINDS = {"LREAL": 0.0, "REAL": 0.0, "BOOL": False, "DINT": 0}
 COMMENT = re.compile(r"\(\*.*?\*\)", re.DOTALL)
 DECLARED = re.compile(r"^ +([\w, ]+) : (?:ARRAY\[0\.\.(\d+)\] OF )?(\w+)(?: := ([^;]*))?;", re.MULTILINE)
 STATEMENT = re.compile(
     r"\s*(?:FOR (?P<counter>\w+) := (?P<first>\d+) TO (?P<last>\d+) DO\b"
-    r"|IF (?P<condition>[^;]+?) THEN\b|(?P<otherwise>ELSE)\b|(?P<end>END_FOR;|END_IF;)"
+    r"|IF (?P<condition>[^;]+?) THEN\b|ELSIF (?P<next>[^;]+?) THEN\b|(?P<otherwise>ELSE)\b|(?P<end>END_FOR;|END_IF;)"
     r"|(?P<target>[^;:]+) := (?P<value>[^;]+);)"
 )
 
@@ -56,7 +56,7 @@ FUNCTIONS: dict[str, Any] = {
     "SEL": lambda chosen, no, yes: yes if chosen else no,
     "LREAL_TO_REAL": real,
     "REAL_TO_LREAL": float,
-    "LINT_TO_LREAL": float,
+    "DINT_TO_LREAL": float,
     "LREAL_TO_DINT": round,
     "BOOL_TO_LREAL": float,
     "_divided": divided,
@@ -95,7 +95,7 @@ def to_python(expression: str) -> str:
 
 
 class FunctionBlock:
-    """One instance of the function block of a text; ``gains`` are its inputs by name.
+    """One instance of the function block of a text, called with inputs by name; its outputs by name.
 
     ``stops``: whether a comparison with what is not a number stops the runtime.
     """
@@ -106,6 +106,9 @@ class FunctionBlock:
         types, _, block = COMMENT.sub("", text).partition("FUNCTION_BLOCK")
         declarations, _, body = block.rpartition("END_VAR")
         self.gains = {name.lower(): float(value) for name, _, _, value in DECLARED.findall(types)}
+        self.outputs = [
+            name for name, *_ in DECLARED.findall(declarations.partition("VAR_OUTPUT")[2].partition("END_VAR")[0])
+        ]
         self.kinds: dict[str, str] = {}
         self.memory: dict[str, Any] = {}
         for names, last, kind, value in DECLARED.findall(declarations):
@@ -118,24 +121,23 @@ class FunctionBlock:
         self._step = space["step"]
 
     def _initial(self, name: str, kind: str, size: int, text: str) -> Any:
-        if name == "valid":
-            return [True] * size
         if not text:
             return [KINDS[kind]] * size if size else KINDS[kind]
         numbers = [float(one) for one in NUMBER.findall(text)]
         assert len(numbers) == max(size, 1), name
-        return [real(one) for one in numbers] if kind == "REAL" else numbers if size else int(numbers[0])
+        if size:
+            return [real(one) for one in numbers] if kind == "REAL" else numbers
+        return type(KINDS[kind])(numbers[0])
 
-    holding = property(lambda self: self.memory["holding"])
-
-    def __call__(self, signals: Any, start: bool, valid: Any = None, lost_limit: int = 0) -> float:
-        """Voltage for the signals of one sample."""
-        valid = [math.isfinite(one) for one in signals] if valid is None else list(valid)
-        self.memory |= {"signals": [float(one) for one in signals], "start": bool(start), "valid": valid}
-        self.memory |= {"lostlimit": lost_limit, "stops": self.stops}
+    def __call__(self, inputs: dict[str, Any]) -> dict[str, Any]:
+        """Outputs of one call; the inputs have the names of the exported block, and so the outputs."""
+        self.memory["stops"] = self.stops
         self.memory |= {f"gains.{name}": value for name, value in self.gains.items()}
+        for name, value in inputs.items():
+            plain = name if "." in name else {"reference": "ReferencePosition"}.get(name, name.replace("_", ""))
+            self.memory[plain.lower()] = value
         self._step(self.memory)
-        return self.memory["voltage"]
+        return {re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower(): self.memory[name.lower()] for name in self.outputs}
 
     def _lines(self, body: str) -> list[str]:
         lines, depth, place = [], 1, 0
@@ -146,9 +148,9 @@ class FunctionBlock:
             if found["end"]:
                 depth -= 1
                 continue
-            if found["otherwise"]:
+            if found["otherwise"] or found["next"]:
                 depth -= 1
-                line = "else:"
+                line = f"elif {to_python(found['next'])}:" if found["next"] else "else:"
             elif found["condition"]:
                 line = f"if {to_python(found['condition'])}:"
             elif found["counter"]:

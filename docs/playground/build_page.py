@@ -33,10 +33,12 @@ from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import FIRST_BIAS, lagged, sensor_reading
 from hydro_env.units import FULL_VOLTAGE, LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 from hydro_rig.export.c_files import WARNINGS, CCode, compiled, render
-from hydro_rig.export.controller import controller_code, controller_graph, memory_type, variable_gains
+from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
 from hydro_rig.export.expressions import DOUBLE, INT, UINT64
 from hydro_rig.export.leakage_head import head_code
+from hydro_rig.export.measured import MeasuredSignal
 from hydro_rig.export.plant import plant_code
+from hydro_rig.export.structured_text import st_name
 from hydro_rig.export.translator import Translator
 
 TEMPLATES = Path(__file__).parent
@@ -92,7 +94,7 @@ class Written:
 
     kind: str
     code: CCode
-    signals: list[str]  # that it reads, in order
+    signals: list[MeasuredSignal]  # that it reads
     gains: dict[str, float]  # those that a slider changes: tuned values
     sliders: list[dict[str, Any]]
 
@@ -114,9 +116,14 @@ def written(kind: str, config: TaskConfig) -> Written:
         limits = {"low": value / 10.0, "high": value * 10.0} if logarithmic else {"low": low, "high": high}
         slider = {"name": label, "unit": unit, **limits, "value": value, "gain": f"{kind}.{name}"}
         sliders.append({**slider, "controller": kind, "logarithmic": logarithmic})
-    graph = controller_graph(controller, config, list(rows.values()))
+    graph = controller_graph(controller, config)
     gains = {name: float(row.value) for name, row in rows.items()}
-    return Written(kind, controller_code(graph, kind), [*graph.signals.places], gains, sliders)
+    return Written(kind, controller_code(graph, type_name(kind)), [*graph.signals.signals], gains, sliders)
+
+
+def type_name(kind: str) -> str:
+    """Name of the C structure of a controller; its functions begin with ``kind``."""
+    return st_name(kind)
 
 
 def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: LeakageHead) -> dict[str, str]:
@@ -134,6 +141,7 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
     translator.function(sensor_reading, [DOUBLE, DOUBLE, DOUBLE, sensor])
     translator.function(lagged, [DOUBLE, DOUBLE, DOUBLE, transducer])
     numbers = settings_of(config)[0]
+    gains = [(one.kind, name, value) for one in controllers for name, value in one.gains.items()]
     sensors = {name: getattr(config.sensors, name) for name in SENSORS}
     values = {
         "version": __version__,
@@ -152,12 +160,13 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
         "controllers": [
             {
                 "kind": one.kind,
-                "memory": memory_type(one.kind),
-                "signals": [_signal(each, config) for each in one.signals],
+                "type": type_name(one.kind),
+                "signals": [(each.name, _signal(each.name, config), each.sensor) for each in one.signals],
             }
             for one in controllers
         ],
-        "gains": [(one.kind, name, value) for one in controllers for name, value in one.gains.items()],
+        "gains": gains,
+        "places": {f"{kind}.{name}": place for place, (kind, name, _) in enumerate(gains)},
     }
     sources = {**plant.files, "axis.c": render("axis.c.j2", values, TEMPLATES), **head_code(head).files}
     for one in controllers:
@@ -169,8 +178,6 @@ def _signal(name: str, config: TaskConfig) -> str:
     """C text of a signal."""
     if name in SENSORS:
         return f"view->measured[{SENSORS.index(name)}]"
-    if name == "previous_voltage":
-        return f"{FULL_VOLTAGE} * view->command"
     ahead = [f"reference_in_{1e3 * time:g}ms".replace(".", "_") for time in config.references.preview_times]
     return f"reference[{['reference', *ahead].index(name)}]"
 

@@ -12,7 +12,9 @@ from hydro_agents.commands.options import (
     Agents,
     Config,
     Jobs,
+    Latency,
     Overwrite,
+    Period,
     Resume,
     Rig,
     Task,
@@ -38,6 +40,8 @@ def evaluate(
     agent: Agents = None,
     task: Task = None,
     rig: Rig = None,
+    period: Period = None,
+    latency: Latency = None,
     head: Annotated[
         Path | None, typer.Option(help="Weights of a leakage head, or none; default: the shipped one.")
     ] = None,
@@ -80,12 +84,12 @@ def evaluate(
     from hydro_env.folders import config_file
 
     if protocol is None:
-        options = Options(task, rig, output or Path("results/evaluate"), resume, overwrite)
+        options = Options(task, rig, output or Path("results/evaluate"), resume, overwrite, None, period, latency)
         with workers(jobs):
             _evaluate_study(config, named_agents(agent), head, plants, options)
         return
     file = config_file("protocols", protocol)
-    options = Options(task, rig, output or Path("results") / file.stem, resume, overwrite, file)
+    options = Options(task, rig, output or Path("results") / file.stem, resume, overwrite, file, period, latency)
     leaks = read_yaml(file).get("kind") == "leakage"
     of_the_file: dict[str, object] = {"--plants": plants}
     of_the_file |= {"--agent": agent, "--config": config} if leaks else {"--head": head}
@@ -153,7 +157,7 @@ def _evaluate_study(
     from hydro_agents.study.settings import default_study
     from hydro_env.files import validate
 
-    study = default_study(config, options.task, options.rig)
+    study = default_study(config, options.task, options.rig, options.period, options.latency)
     if plants is not None:
         changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
         study = study.model_copy(update={"evaluation": changed})

@@ -14,6 +14,7 @@ from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.machine import Origin, date_now, machine_description, package_versions
+from hydro_agents.running.tasks import timed_task
 from hydro_agents.running.text import Table
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, write_yaml
@@ -30,14 +31,19 @@ class Options(NamedTuple):
     resume: bool  # use the finished jobs in the folder
     overwrite: bool  # replace the results in the folder
     file: Path | None = None  # of the protocol; none: it is the evaluation of a study
+    period: str | None = None  # with its unit
+    latency: str | None = None
 
     def read(self, kind: type[AnyProtocol]) -> AnyProtocol:
         """The protocol of the file, with another task or on another rig if one is given."""
         assert self.file is not None
         protocol = kind.from_yaml(self.file)
-        if self.task is None and self.rig is None:
+        if (self.task, self.rig, self.period, self.latency) == (None,) * 4:
             return protocol
-        return protocol.moved(self.task, self.rig)
+        task = timed_task(
+            protocol.task if self.task is None else self.task, self.rig, self.period, self.latency, "evaluate"
+        )
+        return protocol.moved(task)
 
 
 class PageOf(NamedTuple):
@@ -67,7 +73,7 @@ class PageOf(NamedTuple):
             ConfigurationError: a participant failed.
         """
         for table in self.summary(results):
-            display.console.lines(console_table(table, whole=True))
+            display.console.table(console_table(table, whole=True))
         for remark in self.remarks(results):
             display.say(remark)
         display.say(f"tables: {(output / 'tables').resolve()}")

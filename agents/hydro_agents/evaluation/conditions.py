@@ -26,7 +26,6 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.mistakes import kept, refuse, unknown
-from hydro_env.task.configuration import task_config
 
 
 @contextmanager
@@ -160,14 +159,13 @@ class Protocol(Group, Generic[AnyCondition]):
             _ = protocol.tasks
         return protocol
 
-    def moved(self, task: str | None, rig: str | Path | None) -> Self:
-        """The protocol with another task, or on another rig.
+    def moved(self, task: TaskConfig) -> Self:
+        """The protocol with another task.
 
         Raises:
-            ConfigurationError: the task or rig does not exist, or a condition does not fit it.
+            ConfigurationError: a condition does not fit it.
         """
-        base = task_config(self.task if task is None else task, rig=rig)
-        protocol = validate(type(self), {**self.model_dump(), "task": base}, "protocol")
+        protocol = validate(type(self), {**self.model_dump(), "task": task}, "protocol")
         _ = protocol.tasks
         return protocol
 

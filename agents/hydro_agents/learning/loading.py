@@ -39,6 +39,8 @@ class GainsOrigin(StrEnum):
 
     TUNED = "tuned for this rig"
     ANY_RIG = "gains for any rig, which nobody tuned for this one"
+    SEARCHED = "searched on a simulation of this rig"
+    FIGURES = "from the figures of this rig"
     RIG = "from the figures of this rig, and a simulation of it"
     NOWHERE = "none: those that ship belong to another rig"
 

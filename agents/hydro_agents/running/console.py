@@ -20,6 +20,7 @@ from rich.text import Text
 from hydro_agents.running.text import Table, duration
 
 SECONDS_BETWEEN_LINES = 10.0
+WIDEST = 1000  # characters of a table
 ESTIMATED_FROM = 600.0  # s of a phase from which its remaining time follows
 
 
@@ -32,6 +33,12 @@ class PlainConsole(Console):
     def on_broken_pipe(self) -> None:
         """Let the caller handle it: Rich would end the program."""
         raise BrokenPipeError
+
+    def table(self, table: ConsoleTable) -> None:
+        """Print a table with all its columns, also where the terminal is narrower than it."""
+        before, self.width = self.width, WIDEST
+        self.lines(table)
+        self.width = before
 
     def lines(self, *parts: Any, **options: Any) -> None:
         """Print; after a failed write (a closed pipe, a full disk) stay silent, and let the work continue."""

@@ -32,7 +32,7 @@ from hydro_agents.learning.loading import (
 )
 from hydro_agents.learning.rig_gains import searched_gains
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
-from hydro_agents.running.tasks import read_settings, read_task
+from hydro_agents.running.tasks import read_settings, read_task, timed_task
 from hydro_agents.running.text import NAME_RULE
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
@@ -290,7 +290,11 @@ class StudySettings(Group):
 
 
 def default_study(
-    path: Path | None = None, task: str | Path | None = None, rig: str | Path | None = None
+    path: Path | None = None,
+    task: str | Path | None = None,
+    rig: str | Path | None = None,
+    period: str | None = None,
+    latency: str | None = None,
 ) -> StudySettings:
     """The study of a file or of ``make study``, optionally with another task or rig.
 
@@ -301,14 +305,17 @@ def default_study(
         path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
         task: name or file of the task, instead of the study's.
         rig: name or file of another rig for the task.
+        period: its control period, with its unit.
+        latency: its latency, with its unit.
 
     Raises:
         ConfigurationError: a file is wrong, or settings contradict each other.
     """
     study = StudySettings.from_yaml(config_file("studies", path or "default"))
-    if task is None and rig is None:
+    if (task, rig, period, latency) == (None,) * 4:
         return study
-    changes: dict[str, Any] = {"task": task_config(study.task if task is None else task, rig=rig)}
+    given = study.task if task is None else task
+    changes: dict[str, Any] = {"task": timed_task(given, rig, period, latency, "study")}
     if rig is not None:
         changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
         changes["controllers"] = {name: _begun(entry) for name, entry in study.controllers.items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -17,6 +18,14 @@ from hydro_env.folders import page
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
     from hydro_env import TaskConfig
+
+
+class Gains(StrEnum):
+    """Where the gains of an exported controller come from."""
+
+    SEARCHED = "searched"
+    FIGURES = "figures"
+
 
 FMU_FILE = "hydro_axis.fmu"
 JOB = "export"
@@ -39,6 +48,16 @@ def export(
     rig: Rig = None,
     period: Period = None,
     latency: Latency = None,
+    name: Annotated[
+        str | None, typer.Option(metavar="Lift", help="Name of a controller's block, its types, functions and files.")
+    ] = None,
+    gains: Annotated[
+        Gains | None,
+        typer.Option(
+            help="Gains of a controller without weights. searched: a simulation of the rig searches them, a minute; "
+            "the next command finds them again. figures: they follow from the figures of the rig, in seconds."
+        ),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the plant, a controller or the leakage head for other tools, or for your own C program.
@@ -62,18 +81,22 @@ def export(
     from hydro_agents.running.folders import output_folder, refuse_taken
     from hydro_agents.running.weights import kind_of_weights
     from hydro_env.files import write_whole
-    from hydro_rig.export.controller_folder import FILES
+    from hydro_rig.export.controller_folder import NAME, check_block_name, files_of
 
     request = _Request(task, rig, period, latency)
+    is_controller = what != "plant" and what != HEAD and (":" in what or kind_of_weights(what) != KIND)
+    if not is_controller and (name, gains) != (None, None):
+        raise ConfigurationError(f"export {what}: takes no --name and no --gains; a controller does")
     if what == "plant":
         if period is not None or latency is not None:
             raise ConfigurationError("export plant: takes no --period and no --latency; a controller does")
         names, make = _plant(task, rig)
-    elif what == HEAD or (":" not in what and kind_of_weights(what) == KIND):
+    elif not is_controller:
         names, make = _head(what, request)
     else:
-        refuse_taken(output, JOB, FILES, overwrite)  # before a simulation of the rig searches gains
-        names, make = _controller(what, request)
+        check_block_name(name or NAME)
+        refuse_taken(output, JOB, files_of(name or NAME), overwrite)  # before a simulation of the rig searches gains
+        names, make = _controller(what, request, name or NAME, gains)
     with output_folder(output, JOB, names, overwrite=overwrite):
         files, report = make()
         for name, content in files.items():
@@ -134,25 +157,38 @@ def _tell_distance(what: str, trained: object, config: TaskConfig) -> None:
         print(f"hydro: {what}: outside the rigs of the training: {far}", file=sys.stderr)
 
 
-def _controller(what: str, request: _Request) -> Job:
+def _controller(what: str, request: _Request, name: str, gains: Gains | None) -> Job:
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.loading import GainsOrigin, origin_of_gains, trained_for
-    from hydro_rig.export.controller_folder import FILES, exported_files
+    from hydro_rig.export.controller_folder import exported_files, files_of
     from hydro_rig.export.onnx_writer import onnx_package
 
     onnx_package()  # report a missing package at the start
-    controller, config = _controller_and_task(what, request)
+    controller, config = _controller_and_task(what, request, gains)
     made_for = trained_for(controller)
     if made_for is not None and made_for != config.plant:
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
     _tell_distance(what, controller, config)
-    origin = origin_of_gains(what, config) if what in CONTROLLERS else ""
-    if origin not in ("", GainsOrigin.TUNED):
+    origin: str = origin_of_gains(what, config) if what in CONTROLLERS else ""
+    if gains is not None:
+        origin = GainsOrigin.SEARCHED if gains is Gains.SEARCHED else GainsOrigin.FIGURES
+    if origin in (GainsOrigin.ANY_RIG, GainsOrigin.RIG):
         say(f"{what}: {origin}: {page('drawn_rigs.md')} says what they cost")
-    return FILES, partial(exported_files, controller, config, command_line(), origin)
+    return files_of(name), partial(exported_files, controller, config, command_line(), origin, name)
 
 
-def _controller_and_task(what: str, request: _Request) -> tuple[Controller, TaskConfig]:
+def _with_gains(what: str, gains: Gains, config: TaskConfig) -> Controller:
+    """A controller whose gains are searched for a rig, or follow from its figures."""
+    from hydro_agents.controllers.registry import make_controller
+    from hydro_agents.learning.rig_gains import NEAR, gain_sets, searched_gains
+
+    if what not in NEAR:
+        raise ConfigurationError(f"export {what}: --gains {gains}: must be the gains of {' or '.join(NEAR)}")
+    found = searched_gains(what, config) if gains is Gains.SEARCHED else gain_sets(what, config)[0]
+    return make_controller(what, config, found.model_dump())
+
+
+def _controller_and_task(what: str, request: _Request, gains: Gains | None) -> tuple[Controller, TaskConfig]:
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.loading import SHIPPED_WEIGHTS, found_in, load_controller
@@ -168,6 +204,8 @@ def _controller_and_task(what: str, request: _Request) -> tuple[Controller, Task
         known = unknown(what, ("plant", HEAD, *names))
         raise ConfigurationError(f"export '{what}': {known}, the path of weights or gains, or module:attribute")
     config = timed_task(*request, f"export {what}")
+    if gains is not None:
+        return _with_gains(what, gains, config), config
     if request.task is None and request.rig is None:
         if (request.period, request.latency) != (None, None) and what not in CONTROLLERS and ":" not in what:
             raise ConfigurationError(

@@ -26,6 +26,7 @@ class CCode:
     name: str
     header: str
     source: str
+    template: str  # name of its templates
 
     @property
     def files(self) -> dict[str, str]:
@@ -35,7 +36,8 @@ class CCode:
 
 def c_code(name: str, values: Mapping[str, Any], template: str = "") -> CCode:
     """The templates ``NAME.h.j2`` and ``NAME.c.j2`` with values; ``template`` if it has another name than the code."""
-    return CCode(name, *(render(f"{template or name}.{kind}.j2", values) for kind in ("h", "c")))
+    template = template or name
+    return CCode(name, *(render(f"{template}.{kind}.j2", values) for kind in ("h", "c")), template)
 
 
 def render(template: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> str:
@@ -120,7 +122,8 @@ def csv_text(columns: Sequence[str], starts: Iterable[Any], rows: Iterable[Itera
     """Rows as CSV, each with a mark whether it is a start; every number reads back exactly."""
     lines = [",".join(["start", *columns])]
     for start, values in zip(starts, rows, strict=True):
-        lines.append(",".join([str(int(start)), *(repr(float(value)) for value in values)]))
+        texts = [str(int(value)) if isinstance(value, bool | int) else repr(float(value)) for value in values]
+        lines.append(",".join([str(int(start)), *texts]))
     return "\n".join(lines) + "\n"
 
 
@@ -132,9 +135,9 @@ def tested(code: CCode, vectors: str, values: Mapping[str, Any]) -> tuple[dict[s
     """
     texts = {
         **code.files,
-        f"test_{code.name}.c": render(f"test_{code.name}.c.j2", values),
+        f"test_{code.name}.c": render(f"test_{code.template}.c.j2", values),
         "vectors.csv": vectors,
-        "README.md": render(f"{code.name}_readme.md.j2", values),
+        "README.md": render(f"{code.template}_readme.md.j2", values),
     }
     said = compared(code.name, texts)
     return {name: text.encode() for name, text in texts.items()}, said

@@ -13,6 +13,8 @@ from hydro_rig.export.c_files import c_number
 from hydro_rig.export.graph import KINDS, Graph, Node
 
 LONGEST = 120  # characters of the longest number that is written into the statement of another one
+LARGEST_TABLE = 500  # numbers of a factor that are a table where the language wants variables first
+TERMS = 8  # per line of a product without such a table
 
 
 class Language(NamedTuple):
@@ -70,7 +72,6 @@ class Writer:
         graph: from which the statements come.
         inputs: text of each of its inputs, by name; for an array without index.
         language: of the statements.
-        places: names of the elements of arrays, by the name of the array.
         taken: further names that no variable may have.
         prefix: of the names of tables, for a file that contains others.
     """
@@ -78,22 +79,24 @@ class Writer:
     graph: Graph
     inputs: Mapping[str, str]
     language: Language = C
-    places: Mapping[str, Sequence[str]] = field(default_factory=dict)
     taken: Sequence[str] = ()
     prefix: str = ""
     tables: list[str] = field(default_factory=list)
     declared: list[str] = field(default_factory=list)  # where the language wants them first
+    work: dict[str, tuple[np.dtype[Any], int]] = field(default_factory=dict)  # there: arrays that several values share
     _names: dict[Node, str] = field(default_factory=dict)
     _inside: set[Node] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self._used = {name.lower() for name in self.taken} | self.language.reserved
         self._kept = {node.whole for node in self.graph.outputs.values()}
+        self._free: list[str] = []  # of ``work``
         self._readers: dict[Node, list[Node]] = {}
         for node in self.graph.nodes():
             if not node.is_part:
                 for operand in node.operands:
                     self._readers.setdefault(operand.whole, []).append(node)
+        self._unread = {node: len(readers) for node, readers in self._readers.items()}
 
     def statements(self, nodes: Sequence[Node], indent: str = "    ") -> list[str]:
         """Statements that compute nodes, operands first; each result gets a variable."""
@@ -138,11 +141,7 @@ class Writer:
         if node in self._inside:
             return self._expression(node, index)
         text = self.inputs[node.name] if node.operation == "input" else self._names[node]
-        return text if node.size == 1 else f"{text}[{self._named_place(node, index)}]"
-
-    def _named_place(self, node: Node, index: int | str) -> int | str:
-        names = self.places.get(node.name, ())
-        return names[index] if isinstance(index, int) and len(names) == node.size else index
+        return text if node.size == 1 else f"{text}[{index}]"
 
     def _table(self, node: Node) -> str:
         assert node.table is not None
@@ -159,12 +158,39 @@ class Writer:
         if self._may_be_inside(node) and len(self._expression(node, "i")) <= LONGEST:
             self._inside.add(node)
             return []
-        name = self._names[node] = self._new_name(node.name or node.operation)
+        shared = self.language.declares_first and node.size > 1 and node not in self._kept
+        name = self._names[node] = self._shared(node) if shared else self._new_name(node.name or node.operation)
         if node.operation == "collect":
-            return self._collected(node, name)
-        if node.operation in ("matmul", "sum"):
-            return self._total(node, name)
-        return self._defined(node, name, self._expression(node, "i"))
+            lines = self._collected(node, name)
+        elif node.operation in ("matmul", "sum"):
+            lines = self._total(node, name)
+        else:
+            lines = self._defined(node, name, self._expression(node, "i"))
+        self._read(node)
+        return lines
+
+    def _shared(self, node: Node) -> str:
+        """An array that nothing needs any more, or a new one, for a value."""
+        fitting = [name for name in self._free if self.work[name][0] == node.kind]
+        if not fitting:
+            name = self._new_name("work")
+            self.work[name] = (node.kind, node.size)
+            return name
+        name = min(fitting, key=lambda one: abs(self.work[one][1] - node.size))
+        self._free.remove(name)
+        self.work[name] = (node.kind, max(self.work[name][1], node.size))
+        return name
+
+    def _read(self, node: Node) -> None:
+        """Free the arrays of which a value was the last reader."""
+        for operand in node.operands:
+            whole = operand.whole
+            if whole in self._inside:
+                self._read(whole)
+            elif whole in self._names and self._names[whole] in self.work:
+                self._unread[whole] -= 1
+                if not self._unread[whole]:
+                    self._free.append(self._names[whole])
 
     def _may_be_inside(self, node: Node) -> bool:
         """Whether only one other statement of the same line of Python needs a number, and it stays as exact there."""
@@ -196,6 +222,8 @@ class Writer:
 
     def _declaration(self, node: Node, name: str) -> list[str]:
         text = declaration(self.language, name, node.size, node.kind)
+        if name in self.work:
+            return []
         if not self.language.declares_first:
             return [text]
         self.declared.append(text)
@@ -205,7 +233,7 @@ class Writer:
         lines = self._declaration(node, name)
         for run in node.runs:
             if run.length == 1:
-                target = f"{name}[{self._named_place(node, run.first)}]"
+                target = f"{name}[{run.first}]"
                 lines.append(self.language.assign.format(target, self.element(run.source, run.start)))
             else:
                 text = self.element(run.source, _place(run.start, run.step, "i"))
@@ -220,6 +248,8 @@ class Writer:
             term = _beside(self.element(node.operands[0], _mixed(digits)))
         else:
             left, right = node.operands
+            if self.language.declares_first and right.table is not None and right.size > LARGEST_TABLE:
+                return [*self._declaration(node, name), *self._written_out(node, name)]
             term = f"{_beside(self.element(left, _mixed((k, i))))} * {_beside(self.element(right, _mixed((i, j))))}"
         into = name if node.size == 1 else f"{name}[{_mixed((k, j))}]"
         statement = self.language.assign.format(into, f"{into} + {term}")
@@ -230,6 +260,27 @@ class Writer:
         if node.size > 1:
             begin = self._loop("i", node.size, begin)
         return [*self._declaration(node, name), begin, statement]
+
+    def _written_out(self, node: Node, name: str) -> list[str]:
+        """A product with a large constant, number by number: a table would be part of each instance.
+
+        The sums have the order of those in the loops.
+        """
+        left, right = node.operands
+        rows, inner, columns = node.sizes
+        assert right.table is not None
+        lines = []
+        for element in range(rows * columns):
+            target = name if node.size == 1 else f"{name}[{element}]"
+            for first in range(0, inner, TERMS):
+                text = target if first else ""
+                for i in range(first, min(first + TERMS, inner)):
+                    factor = right.table[i * columns + element % columns]
+                    number = self.language.number(abs(factor))
+                    sign = "-" if factor < 0 else "+" if text else ""
+                    text += f" {sign} {number} * {self.element(left, element // columns * inner + i)}"
+                lines.append(self.language.assign.format(target, text.strip()))
+        return lines
 
     def _loop(self, index: str, count: int, statement: str) -> str:
         return self.language.loop.format(index, count, statement, count - 1)

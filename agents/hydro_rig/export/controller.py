@@ -1,9 +1,9 @@
-"""A controller as a graph, traced from measured signals to volts, and this graph as C99."""
+"""A controller and its block as a graph, traced from measured signals to volts, and this graph as C99."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -16,15 +16,16 @@ from hydro_agents.controllers.flow_linearising import FlowLinearising
 from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import GainRow, gain_rows
 from hydro_env import TaskConfig, __version__
+from hydro_rig.export.block import Block
 from hydro_rig.export.c_files import CCode, c_code
 from hydro_rig.export.c_writer import C_TYPES, Writer
+from hydro_rig.export.contract import OUTPUTS, BlockInput, State
 from hydro_rig.export.graph import Graph, Node, in_order, needed
-from hydro_rig.export.measured import LOST_RULE, MeasuredController, MeasuredSignals
+from hydro_rig.export.measured import MeasuredSignals
 from hydro_rig.export.tracing import TraceError, named, trace
 
 STARTED, CONTINUED = "started.", "continued."
-GAINS = "gains."
-INPUTS = ("signals", "valid", "start", "lost_limit")
+GAINS, OUTPUT, ANSWER = "gains.", "output.", "answer."
 VARIABLE_GAINS = {
     PID: (
         *("proportional", "integral", "derivative", "derivative_filter_time", "feedforward_extending"),
@@ -38,31 +39,47 @@ are part of numbers that a controller computes when it is made, or decisions."""
 
 @dataclass(frozen=True)
 class ControllerGraph:
-    """A controller as a graph.
+    """A block with its controller as a graph.
 
-    Inputs: :data:`INPUTS` and the parts of the memory. Outputs: ``begins`` (whether the controller starts
-        here), ``lost`` (number of lost signals), and the parts that are the same in both cases. ``voltage`` and the
-        other parts occur twice: with the prefix ``started.`` for a start, ``continued.`` for a continuation.
+    Inputs: those of the block by name, ``gains.NAME``, the parts of the memory, and ``answer.NAME``: what the
+    controller answers. Outputs: ``controls`` (whether the controller answers at all) and ``begins`` (whether it starts
+    here), ``output.NAME`` and the parts of the memory. Answers and the controller's own parts of the memory occur
+    twice: with the prefix ``started.`` for a start, ``continued.`` for a continuation. An answer of 0 stands where the
+    controller gives none.
     """
 
     graph: Graph
     memory: tuple[Node, ...]  # the inputs of the graph that hold its parts
-    measured: MeasuredController
+    block: Block
     gains: tuple[GainRow, ...] = ()  # inputs ``gains.NAME``: numbers that may change while the controller runs
 
     @property
     def signals(self) -> MeasuredSignals:
         """The signals that it reads."""
-        return self.measured.signals
+        return self.block.signals
+
+    @property
+    def inputs(self) -> list[BlockInput]:
+        """The inputs of the block, and its gains."""
+        return [
+            *self.block.inputs,
+            *(BlockInput(GAINS + g.name, "", float, float(g.value), g.meaning) for g in self.gains),
+        ]
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names of its outputs."""
+        names = [name.removeprefix(OUTPUT) for name in self.graph.outputs if name.startswith(OUTPUT)]
+        return [*names, *self.block.answers[1:]]
 
     @property
     def title(self) -> str:
         """What it is, in one line."""
-        return f"Controller of a hydraulic servo axis ({type(self.measured.controller).__name__})"
+        return f"Controller of a hydraulic servo axis ({type(self.block.controller).__name__})"
 
     @property
     def common(self) -> dict[str, Node]:
-        """The outputs that are the same in both cases."""
+        """The outputs of the block, and its memory but that of the controller."""
         return {name: node for name, node in self.graph.outputs.items() if not name.startswith((STARTED, CONTINUED))}
 
     def case(self, prefix: str) -> dict[str, Node]:
@@ -71,52 +88,53 @@ class ControllerGraph:
         return {name.removeprefix(prefix): node for name, node in outputs if name.startswith(prefix)}
 
 
-def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence[GainRow] = ()) -> ControllerGraph:
-    """Trace a controller.
-
-    Args:
-        controller: the controller.
-        config: its task.
-        gains: those that become inputs of the graph, of :func:`variable_gains`; the others are constants in it.
+def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGraph:
+    """Trace a controller and its block; :func:`variable_gains` become inputs.
 
     Raises:
         TraceError: the controller contains data-dependent decisions that no fixed graph can represent.
         ConfigurationError: the observation cannot be computed from measured signals.
     """
-    who = type(controller).__name__
-    measured = MeasuredController(controller, MeasuredSignals(config, entries_read(controller, config)))
-    empty = measured.empty()
-    arrays = leaves_of(empty)
+    who, gains = type(controller).__name__, variable_gains(controller)
+    block = Block(controller, MeasuredSignals(config, entries_read(controller, config)))
+    empty = block.empty()
+    own = leaves_of({"controller": empty.controller})
 
-    def step(signals: Any, valid: Any, start: Any, lost_limit: Any, **values: Any) -> dict[str, Any]:
-        sound, variable = [], dict[str, Any]()
+    def step(**values: Any) -> dict[str, Any]:
+        refused: Any = np.False_
+        variable: dict[str, Any] = {}
         for gain in gains:
-            present_gain = values.pop(GAINS + gain.name)
+            present_gain = values[GAINS + gain.name]
             within = np.logical_and(present_gain >= gain.low, present_gain <= gain.high)
-            sound.append(named(f"{gain.name}_sound", within))
-            usable_gain = np.where(within, present_gain, float(gain.value))
-            variable[gain.name] = named(f"{gain.name}_used", usable_gain)
-        varied = MeasuredController(_with_gains(controller, variable), measured.signals) if variable else measured
-        now = varied.step(signals, valid, start, lost_limit, with_leaves(empty, values), sound)
-        outputs: dict[str, Any] = {"begins": now.begins, "lost": now.lost, **leaves_of(now.common)}
-        for prefix, case in ((STARTED, now.started), (CONTINUED, now.continued)):
-            outputs |= {prefix + name: leaf for name, leaf in leaves_of(case).items()}
-        return outputs
+            refused = np.logical_or(refused, np.logical_not(within))
+            variable[gain.name] = named(f"{gain.name}_used", np.where(within, present_gain, float(gain.value)))
+        varied = copy(block)
+        varied.controller = _with_gains(controller, variable) if variable else controller
+        memory = with_leaves(empty, values)
+        sample = varied.before(values, memory)
+        outputs: dict[str, Any] = {"controls": sample.controls, "begins": sample.begins}
+        for prefix, before in ((STARTED, None), (CONTINUED, memory.controller)):
+            answer, new = varied.answer(sample.observation, values, before)
+            outputs |= {prefix + ANSWER + name: value for name, value in answer.items()}
+            outputs |= {prefix + name: leaf for name, leaf in leaves_of({"controller": new}).items()}
+        found, new_memory = varied.after(sample, values, memory, values[f"{ANSWER}wanted"], refused)
+        outputs |= {OUTPUT + name: value for name, value in found.items()}
+        return outputs | leaves_of(new_memory)
 
-    starts = {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
-    valid = np.ones(len(empty.last), np.bool_)
-    given = {"signals": empty.last, "valid": valid, "start": np.array(False), "lost_limit": np.array(0)}
-    graph = trace(step, {**given, **starts, **arrays})
-    after, _ = controller.predict(np.zeros((1, len(measured.signals.layout.names)), dtype=np.float32), None)
+    given = {row.name: np.array(row.default, row.kind) for row in block.inputs}
+    given |= {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
+    given |= {ANSWER + name: np.zeros(()) for name in block.answers}
+    graph = trace(step, {**given, **leaves_of(empty)})
+    after, _ = controller.predict(np.zeros((1, len(block.signals.layout.names)), dtype=np.float32), None)
     if not isinstance(after, np.ndarray):
         raise TraceError(f"{who}: keeps its memory outside its state: cannot be exported")
-    for name in arrays:
+    for name in leaves_of(empty):
         before = graph.inputs[name]
-        for case in [name] if name in graph.outputs else [STARTED + name, CONTINUED + name]:
+        for case in [STARTED + name, CONTINUED + name] if name in own else [name]:
             node = graph.outputs.get(case)
             if node is None or (node.size, node.kind) != (before.size, before.kind):
                 raise TraceError(f"{who}: its memory '{name}' changes its shape or type: cannot be exported")
-    return ControllerGraph(graph, tuple(graph.inputs[name] for name in arrays), measured, tuple(gains))
+    return ControllerGraph(graph, tuple(graph.inputs[name] for name in leaves_of(empty)), block, tuple(gains))
 
 
 def _with_gains(controller: Any, gains: Mapping[str, Any]) -> Controller:
@@ -141,7 +159,7 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
         TraceError: as :func:`controller_graph`.
     """
     signals = MeasuredSignals(config)
-    empty = MeasuredController(controller, signals).empty().controller
+    empty = Block(controller, signals).empty().controller
     memory = leaves_of(empty, "memory")
 
     def predict(**values: Any) -> dict[str, Any]:
@@ -202,104 +220,109 @@ def _entries(memory: Any, name: str) -> dict[str, Any]:
 # In C -----------------------------------------------------------------------------------------------------------------
 
 
-def controller_code(controller: ControllerGraph, name: str = "controller") -> CCode:
-    """C sources of a controller; ``name`` begins every symbol, so that one program can hold several."""
-    fields = field_names(controller)
-    names = inputs_of(controller, INPUTS, f"{name}_gains.")
-    variables = {part: f"memory->{field}" for part, field in fields.items()}
-    taken = ("voltage", "memory", *INPUTS, f"{name}_step", f"{name}_gains")
-    elements = element_names(controller, f"{name.upper()}_")
-    writer = Writer(controller.graph, names | variables, places=elements, taken=taken)
-    values = written_step(controller, writer, variables)
-    values["kept"] += f"\n    memory->lost_signals = (int){values['lost']};"
-    parts = [{"type": C_TYPES[part.kind], "field": fields[part.name], "size": part.size} for part in controller.memory]
-    values |= {
-        "name": name,
-        "type": memory_type(name),
-        "gains_type": memory_type(name).removesuffix("Memory") + "Gains",
-        "gains": controller.gains,
-        "parts": parts,
-    }
-    return c_code(name, values, "controller")
+def controller_code(controller: ControllerGraph, name: str = "Controller") -> CCode:
+    """C sources of a block; ``name`` begins every symbol, so that one program can hold several."""
+    prefix = c_name(name)
+    fields = {part.name: f"self->{field(part.name)}" for part in controller.memory}
+    inputs = {row.name: f"self->{row.name}" for row in controller.inputs}
+    outputs = {name: f"self->{name}" for name in controller.outputs}
+    writer = Writer(controller.graph, {}, taken=("self", "wanted"))
+    values = written_step(controller, writer, {**fields, **inputs}, outputs)
+    values |= {"name": name, "prefix": prefix}
+    values["inputs"] = [row for row in controller.inputs if not row.name.startswith(GAINS)]
+    values["types"] = {bool: "int", int: "long", float: "double"}
+    values["gains"] = controller.gains
+    values["parts"] = [
+        {"type": C_TYPES[part.kind], "field": field(part.name), "size": part.size} for part in values["kept_parts"]
+    ]
+    return c_code(prefix, values, "controller")
 
 
-def inputs_of(controller: ControllerGraph, texts: Sequence[str], gains: str) -> dict[str, str]:
-    """Text of each input of the graph but the memory, by name; ``gains`` stands before the name of each gain."""
-    return dict(zip(INPUTS, texts, strict=True)) | {GAINS + gain.name: gains + gain.name for gain in controller.gains}
+def c_name(name: str) -> str:
+    """What begins the names of functions and files of a block with a name: ``LiftAxis`` → ``lift_axis``."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
-def element_names(controller: ControllerGraph, prefix: str) -> dict[str, list[str]]:
-    """Names of the elements of the arrays that hold one number per signal, by the name of the array."""
-    names = [prefix + signal.name.upper() for signal in controller.signals.signals]
-    return dict.fromkeys(("signals", "valid", "reading", "inside", "present", "last", "held"), names)
-
-
-def field_names(controller: ControllerGraph) -> dict[str, str]:
-    """Name of the variable of each part of the memory, by the name of the part."""
-    short = [_field(part.name) for part in controller.memory]
-    names = {}
-    for part, name in zip(controller.memory, short, strict=True):
-        names[part.name] = name if short.count(name) == 1 else re.sub(r"\W", "_", part.name)
-    return names
-
-
-def written_step(controller: ControllerGraph, writer: Writer, fields: Mapping[str, str]) -> dict[str, Any]:
+def written_step(
+    controller: ControllerGraph, writer: Writer, texts: Mapping[str, str], outputs: Mapping[str, str]
+) -> dict[str, Any]:
     """What the templates of C and Structured Text write: contract, tables, and the statements of a step.
 
-    These are ``common``, then those of a start or of a continuation, then ``kept``; ``lost`` counts the lost signals.
+    These are ``common``, then those of a start or of a continuation or ``idle`` ones, then ``after``.
 
     Args:
         controller: the controller.
         writer: of the language.
-        fields: variable of each part of the memory, by the name of the part.
+        texts: variable of each input of the graph, and of each part of the memory, by its name.
+        outputs: variable of each output, by its name; some are parts of the memory too.
     """
-    shared = controller.common
+    graph, shared = controller.graph, controller.common
+    texts = {**texts, **{name: outputs[name] for name in ("state", "fault_code", "command")}}
+    answers = {ANSWER + name: outputs.get(name, name) for name in controller.block.answers}
+    writer.inputs = {**texts, **answers}
     started, continued = controller.case(STARTED), controller.case(CONTINUED)
     later = set(in_order([*continued.values()]))
     both = [node for node in in_order([*started.values()]) if node in later]
-    before = in_order([*shared.values(), *both])
+    every = in_order([*shared.values(), *both])
+    last = _following(every, {graph.inputs[name] for name in answers})
+    before = [node for node in every if node not in last]
+    parts = {part.name: part for part in controller.memory}
 
-    def stores(outputs: dict[str, Node], lines: list[str], indent: str = "    ") -> list[str]:
+    def stores(new: Mapping[str, Node], lines: list[str], indent: str = "    ") -> list[str]:
         """Statements that keep what changes in the memory; ``lines``: those before, to which others may be added."""
         stored = []
-        for part in controller.memory:
-            node = outputs.get(part.name, part)
-            if node is not part:
-                variable = writer.kept(f"new_{_field(part.name)}", node, lines, indent)
-                stored.append(indent + writer.stored(fields[part.name], variable, part.size))
+        for name, node in new.items():
+            if node is not parts[name]:
+                variable = writer.kept(f"new_{field(name)}", node, lines, indent)
+                stored.append(indent + writer.stored(texts[name], variable, node.size))
         return stored
 
-    def case(outputs: dict[str, Node]) -> str:
+    def case(new: dict[str, Node]) -> str:
         """The statements of a case; all values are read before the memory changes."""
         indent = " " * 8
-        lines = writer.statements([node for node in in_order([*outputs.values()]) if node not in before], indent)
-        lines.append(indent + writer.stored("voltage", writer.element(outputs["voltage"], 0), 1))
-        stored = stores(outputs, lines, indent)
+        lines = writer.statements([node for node in in_order([*new.values()]) if node not in before], indent)
+        for name, text in answers.items():
+            lines.append(indent + writer.stored(text, writer.element(new[name], 0), 1))
+        stored = stores({name: node for name, node in new.items() if name in parts}, lines, indent)
         return "\n".join([*lines, *stored])
 
     common = writer.statements(before)
-    writer.kept("begins", shared["begins"], common)
-    kept: list[str] = []
-    kept += stores(shared, kept)
+    for name in ("controls", "begins"):
+        writer.kept(name, shared[name], common)
+    cases = {"started": case(started), "continued": case(continued)}
+    zero = writer.language.number(0.0)
+    idle = [" " * 8 + writer.stored(text, zero, 1) for text in answers.values()]
+    after = writer.statements([node for node in every if node in last])
+    stored = stores({name: node for name, node in shared.items() if name in parts}, after)
+    for name, text in outputs.items():
+        if name not in parts and OUTPUT + name in shared:
+            stored.append("    " + writer.stored(text, writer.element(shared[OUTPUT + name], 0), 1))
     return {
         "title": controller.title,
         "version": __version__,
         "sample_time": controller.signals.config.control_period,
-        "signals": controller.signals.signals,
-        "lost_rule": LOST_RULE,
+        "states": State,
+        "whole": [name for name in outputs if name in ("state", "fault_code", "lost_signals")],
+        "outputs": [(name, *OUTPUTS[name]) for name in outputs],
+        "kept_parts": [part for part in controller.memory if part.name not in outputs],
         "common": "\n".join(common),
-        "started": case(started),
-        "continued": case(continued),
-        "kept": "\n".join(kept),
-        "lost": writer.element(shared["lost"], 0),
+        **cases,
+        "idle": "\n".join(idle),
+        "after": "\n".join([*after, *stored]),
         "tables": writer.tables,
     }
 
 
-def memory_type(name: str) -> str:
-    """Name in C of the type of a controller's memory."""
-    return "".join(word.capitalize() for word in name.split("_")) + "Memory"
+def _following(nodes: list[Node], sources: set[Node]) -> set[Node]:
+    """Some nodes, and those of the others, operands first, that follow from them."""
+    following = set(sources)
+    for node in nodes:
+        if not following.isdisjoint(operand.whole for operand in node.operands):
+            following.add(node)
+    return following
 
 
-def _field(name: str) -> str:
-    return re.sub(r"\W", "_", name.removeprefix("controller."))
+def field(name: str) -> str:
+    """Name of the variable of a part of the memory."""
+    plain = re.sub(r"\W", "_", name.removeprefix("controller."))
+    return f"own_{plain}" if name.startswith("controller.") else f"{plain}_before"

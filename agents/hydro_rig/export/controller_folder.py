@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+import re
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -13,165 +15,290 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.own_loop import LOST_TIME, OUT_OF_RANGE, STOPPING_TIME, OwnLoop
 from hydro_agents.controllers.registry import gain_rows
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
-from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
+from hydro_env import ConfigurationError, HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.files import Group
 from hydro_env.task.sensors import CHANNELS
-from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
+from hydro_rig.export.block import Block
 from hydro_rig.export.c_files import csv_text, tested
-from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
-from hydro_rig.export.measured import LOST_RULE, MeasuredController
+from hydro_rig.export.contract import DIAGRAM, LOST_RULE, OUTPUTS
+from hydro_rig.export.controller import GAINS, ControllerGraph, c_name, controller_code, controller_graph
 from hydro_rig.export.onnx_writer import controller_model, onnx_session
-from hydro_rig.export.structured_text import structured_text
+from hydro_rig.export.structured_text import RESERVED, call_example, st_name, structured_text
 
 LARGEST_DIFFERENCE = 1e-5
 """Largest difference of the command between the exported controller and the one in Python; more is an error."""
 
-CODE = "controller"
-MODEL_FILE, ST_FILE, TASK_FILE = "controller.onnx", "controller.st", "task.yaml"
-FILES = (MODEL_FILE, f"{CODE}.c", f"{CODE}.h", ST_FILE, f"test_{CODE}.c", "vectors.csv", TASK_FILE, "README.md")
+NAME = "Controller"
+MODEL_FILE, TASK_FILE = "controller.onnx", "task.yaml"
 FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them
-LONGEST = 250  # control periods per episode of the vectors
-DAMAGED = np.array([70, 90, 110, 130])  # first samples of the vectors that are out of range
+LONGEST = 180  # control periods per episode of the vectors
+TOUR = 600  # control periods that suffice for the tour through all states
+FREE = {
+    "output_rate": 1e9,
+    "max_speed": 1e9,
+    "max_acceleration": 1e9,
+}  # the controller itself, at its reference at once
+COMPARED = ("command", "state", "fault_code")
 
 
 class Vectors(NamedTuple):
-    """Consecutive samples; a 1 in ``start`` begins an episode."""
+    """Consecutive samples; a 1 in ``start`` begins with a new block."""
 
     start: NDArray[np.bool_]  # (samples,)
-    signals: Floats  # (samples, signals), SI
-    voltage: Floats  # (samples,), V
+    inputs: list[dict[str, Any]]  # of the block and its gains, by name
+    outputs: list[dict[str, Any]]  # COMPARED
 
 
-def make_vectors(measured: MeasuredController) -> Vectors:
-    """Closed-loop episodes under the controller, and one with lost samples, values out of range, and stops.
+def files_of(name: str) -> tuple[str, ...]:
+    """Names of the files of a block with a name."""
+    code = c_name(name)
+    sources = (f"{code}.c", f"{code}.h", f"{code}.st", f"{code}_call.st", f"test_{code}.c")
+    return (MODEL_FILE, *sources, "vectors.csv", TASK_FILE, "README.md")
 
-    The voltages of the closed-loop episodes come from :class:`~hydro_agents.controllers.own_loop.OwnLoop`, with the
-    observations of the environment: they also check that the signals in SI units give the same observations.
+
+def check_block_name(name: str) -> None:
+    """Check the name of a block.
+
+    Raises:
+        ConfigurationError: it is no name, or a word of C or Structured Text.
     """
-    signals = measured.signals
-    weights = signals.config.references.weights
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]{0,30}", name) or name.lower() in RESERVED:
+        raise ConfigurationError(
+            f"--name {name}: must be at most 31 letters and digits, a letter first, and no word of C or Structured Text"
+        )
+
+
+def make_vectors(graph: ControllerGraph) -> Vectors:
+    """Closed-loop episodes on a given motion, and a tour through all states, faults and limits.
+
+    :class:`~hydro_agents.controllers.own_loop.OwnLoop` gives the same commands on the same references, with the
+    observations of the environment.
+
+    Raises:
+        HydroError: it does not.
+    """
+    block, config = graph.block, graph.signals.config
+    weights = config.references.weights
     families: list[str | None] = [name for name in FAMILIES if weights.get(name, 0.0) > 0.0] or [None]
-    seeds = CONTROLLER_VECTORS.take(len(families))
-    episodes = [_closed_loop(measured, seed, family) for seed, family in zip(seeds, families, strict=True)]
-    missing = math.ceil(LOST_TIME / signals.config.control_period) + 10
-    disturbed = _disturbed(np.resize(episodes[0][0], (150 + missing, len(signals.signals))))
-    begins = np.isin(np.arange(len(disturbed)), (0, 66, *DAMAGED + 5))
-    answers, memory = [], None
-    for row, begin in zip(disturbed, begins, strict=True):
-        answer, memory = measured(row, memory, bool(begin), np.isfinite(row))
-        answers.append(answer)
-    episodes.append((disturbed, np.array(answers)))
-    voltage = np.concatenate([voltages for _, voltages in episodes])
-    if not np.isfinite(voltage).all():
-        raise HydroError(f"{type(measured.controller).__name__}: its voltage is not finite: cannot be exported")
-    starts = np.concatenate([*(np.arange(len(voltages)) == 0 for _, voltages in episodes[:-1]), begins])
-    rows = np.concatenate([samples for samples, _ in episodes])
-    return Vectors(starts, rows, voltage)
+    seeds = CONTROLLER_VECTORS.take(len(families) + 1)
+    starts, inputs, outputs = [], list[dict[str, Any]](), list[dict[str, Any]]()
+    for seed, family in zip(seeds, [*families, families[0]], strict=True):
+        if seed == seeds[-1]:
+            duration = max(config.episode_duration, TOUR * config.control_period)
+            run = _Episode(block, config.model_copy(update={"episode_duration": duration}), seed, family)
+            _tour(run, [gain.name for gain in graph.gains])
+        else:
+            run = _Episode(block, config, seed, family)
+            _follow(run)
+        starts += [number == 0 for number in range(len(run.inputs))]
+        inputs += run.inputs
+        outputs += run.outputs
+    usual = {row.name: row.default for row in graph.inputs}
+    return Vectors(np.array(starts), [usual | row for row in inputs], outputs)
 
 
-def _closed_loop(measured: MeasuredController, seed: int, family: str | None) -> tuple[Floats, Floats]:
-    """Signals (samples, signals) and voltages (samples,) of an episode."""
-    config = measured.signals.config
-    env = ServoHydraulicVectorEnv(1, config, info=False)
-    env.reset(seed=[seed], options={"reference": [family]} if family is not None else None)
-    loop = OwnLoop(measured.controller, config, si=True)
-    loop.reset(FULL_VOLTAGE * env.axes.column("command")[0])
-    places = np.array([0, *config.preview_samples])
-    samples, voltages = [], []
-    for step in range(min(LONGEST, config.steps)):
-        samples.append(measured.signals.of_axes(env.axes)[0])
-        sensed = dict(zip(CHANNELS, env.axes.column("measured")[0], strict=True))
-        voltages.append(loop.step(env.axes.reference[0, step + places], **sensed))
-        _, _, terminated, truncated, _ = env.step(np.array([[voltages[-1] / FULL_VOLTAGE]]))
-        if terminated[0] or truncated[0]:
-            break
-    env.close()
-    return np.array(samples), np.array(voltages)
+class _Episode:
+    """A block that drives a simulated axis; it keeps all inputs and outputs."""
+
+    def __init__(self, block: Block, config: TaskConfig, seed: int, family: str | None) -> None:
+        self.block, self.config, self.memory = block, config, block.empty()
+        self._env = ServoHydraulicVectorEnv(1, config, info=False)
+        self._env.reset(seed=[seed], options={"reference": [family]} if family is not None else None)
+        self.axes = self._env.axes
+        self.inputs: list[dict[str, Any]] = []
+        self.outputs: list[dict[str, Any]] = []
+
+    def signals(self) -> dict[str, Any]:
+        """What the sensors measure, all valid, and the references of the environment."""
+        found: dict[str, Any] = {name: float(value[0]) for name, value in self.block.signals.of_axes(self.axes).items()}
+        return found | {f"valid_{signal.name}": True for signal in self.block.signals.signals if signal.sensor}
+
+    def step(self, inputs: dict[str, Any], moves: bool = True) -> float:
+        """One call of the block, V; the axis moves for a control period, until the end of its episode."""
+        refused = any(name.startswith(GAINS) for name in inputs)  # such a gain is out of its range
+        outputs, self.memory = self.block(inputs, self.memory, refused)
+        self.inputs.append(inputs)
+        self.outputs.append({name: outputs[name] for name in COMPARED})
+        command = float(outputs["command"])
+        if not math.isfinite(command):
+            raise HydroError(f"{type(self.block.controller).__name__}: its voltage is not finite: cannot be exported")
+        if moves and self.axes.column("step")[0] < self.config.steps - 1:
+            self._env.step(np.array([[command / FULL_VOLTAGE]]))
+        return command
 
 
-def _disturbed(samples: Floats) -> Floats:
-    """Samples with lost ones at the start, of each signal in turn and of all at once, values out of range, and a stop.
+def _follow(run: _Episode) -> None:
+    """The block takes over from a manual command and follows the reference of the episode."""
+    first = float(FULL_VOLTAGE * run.axes.column("command")[0])
+    run.step({"enable": True, **run.signals()}, moves=False)
+    run.step({"enable": True, "manual": True, "manual_command": first, **FREE, **run.signals()}, moves=False)
+    loop = OwnLoop(run.block.controller, run.config, si=True)
+    loop.reset(first)
+    ahead = np.array([0, *run.config.preview_samples])
+    for _ in range(min(LONGEST, run.config.steps - 1)):
+        given = run.axes.reference[0, int(run.axes.column("step")[0]) + ahead]
+        sensed = dict(zip(CHANNELS, run.axes.column("measured")[0], strict=True))
+        command = run.step({"enable": True, "control": True, "follow": True, **FREE, **run.signals()})
+        own = loop.step(given, **sensed)
+        if abs(own - command) > LARGEST_DIFFERENCE * FULL_VOLTAGE:
+            who = type(run.block.controller).__name__
+            raise HydroError(f"{who}: {command:.6g} V in the block, {own:.6g} V in the environment: cannot be exported")
 
-    In the end the position stays away until the controller holds the axis.
+
+def _tour(run: _Episode, gains: Sequence[str]) -> None:
+    """Drive the axis through :func:`_script`."""
+    steps = _script(run, gains)
+    if run.block.corrects:
+        last = steps[-1][1]
+        steps += [(10, {**last, "correction_limit": limit}) for limit in (0.0, 0.05, math.nan)]
+    for count, changes in steps:
+        for _ in range(count):
+            run.step({**run.signals(), **changes})
+
+
+def _script(run: _Episode, gains: Sequence[str]) -> list[tuple[int, dict[str, Any]]]:
+    """Every transition between two states, every fault, lost signals, values out of range, limits.
+
+    Counts of samples, and inputs that are not those of a healthy axis in a block that is off.
     """
-    rows, count = samples.copy(), samples.shape[1]
-    rows[:2, -2] = np.nan  # the controller waits
-    for signal in range(count):
-        rows[10 + 4 * signal, signal] = np.nan
-    rows[60:63] = np.nan
-    for place, factor in zip(DAMAGED, (1e3, -1e3, 1e6, -1e6), strict=True):
-        rows[place : place + 3] *= factor
-    rows[150:, 0] = np.nan
-    return rows
+    lost = math.ceil(LOST_TIME / run.config.control_period) + 3
+    away = {"valid_position": False, "position": math.nan}
+    here = run.signals()["position"]
+    on: dict[str, Any] = {"enable": True, "reference": here + 0.01}
+    closed = {**on, "control": True}
+    by_hand = {**on, "manual": True, "manual_command": 0.3}
+    sensors = [signal.name for signal in run.block.signals.signals if signal.sensor]
+    return [
+        (2, {"control": True}),  # off
+        (2, closed),  # ready: the request stood before
+        *((2, row) for row in (on, closed, {}, on, {}, on, closed, on)),  # in turn off, ready and controlling
+        (10, by_hand),
+        (60, {**closed, "manual_command": math.nan}),  # it takes over from the manual command
+        *((1, {**closed, f"valid_{name}": False, name: math.nan}) for name in sensors),
+        *((1, {**closed, name: factor}) for name in sensors for factor in (1e12, -1e12)),
+        (10, {**closed, "output_limit": 0.2}),
+        (10, {**closed, "output_rate": 2.0, "max_speed": 0.02, "max_acceleration": 0.1, "reference": here}),
+        (4, {**closed, "output_limit": -1.0}),
+        (4, {**closed, "output_limit": math.nan, "output_rate": math.nan, "max_speed": math.nan}),
+        *((2, {**closed, GAINS + name: value}) for name in gains for value in (math.nan, -1e6)),
+        (lost, {**closed, **away}),  # holding
+        (3, closed),
+        (2, {**closed, "reset": True, **away}),  # no reset without a position
+        (2, {**closed, "reset": True}),  # nor one that stood before
+        (2, closed),
+        (2, {**on, "reset": True}),  # ready
+        (2, {**closed, "reset": True}),
+        (2, by_hand),
+        (lost, {**by_hand, **away}),  # manual needs no signal
+        (1, {**on, **away}),  # holding
+        (2, {**by_hand, **away}),
+        (2, {**on, **away}),
+        (2, away),  # off
+        (2, {**on, **away}),  # off: a signal is missing
+        (2, {**by_hand, **away}),
+        (2, {}),
+        (2, on),
+        (4, closed),
+        (3, {**closed, "error_limit": 1e-9}),  # fault
+        (2, by_hand),
+        (2, {"reset": True}),  # off
+        (2, on),
+        (4, closed),
+        (3, {**closed, "error_limit": 1e-9, "lost_limit": 2}),
+        (2, {**on, "reset": True}),  # ready
+        (2, by_hand),
+        (2, on),
+        (4, {**on, "lost_limit": 2, **away}),  # holding
+        (2, {**on, "reset": True}),  # ready
+        (4, closed),
+        (4, {**closed, "lost_limit": 2, **away}),  # holding
+        (2, {}),
+        (2, on),
+        (20, {**closed, "follow": True, **FREE}),
+    ]
 
 
 def exported_files(
-    controller: Controller, config: TaskConfig, command: str, origin: str = ""
+    controller: Controller, config: TaskConfig, command: str, origin: str = "", name: str = NAME
 ) -> tuple[dict[str, bytes], list[str]]:
     """The files of an exported controller by name, and the results of their checks, one line each.
 
-    Their page names the ``command`` that exports it, and the ``origin`` of its gains.
+    Their page names the ``command`` that exports it, and the ``origin`` of its gains; ``name``: of the block.
 
     Raises:
         TraceError: the controller cannot be exported exactly.
-        ConfigurationError: the package onnx or onnxruntime is not installed.
-        HydroError: the ONNX model or the C code gives other voltages.
+        ConfigurationError: the package onnx or onnxruntime is not installed, or a language keeps the name for itself.
+        HydroError: the ONNX model or the C code gives other commands.
     """
+    check_block_name(name)
     graph = controller_graph(controller, config)
     model = controller_model(graph).SerializeToString()
-    varied = controller_graph(controller, config, variable_gains(controller))
-    vectors, gains = make_vectors(graph.measured), getattr(controller, "gains", None)
+    vectors, gains = make_vectors(graph), getattr(controller, "gains", None)
+    code = controller_code(graph, name)
     values = {
         "title": graph.title,
         "version": __version__,
         "command": command,
         "origin": origin,
-        "name": CODE,
-        "type": "ControllerMemory",
-        "samples": len(vectors.voltage),
+        "name": name,
+        "prefix": code.name,
+        "st_name": st_name,
+        "samples": len(vectors.inputs),
         "allowed": LARGEST_DIFFERENCE * FULL_VOLTAGE,
         "sample_time": config.control_period,
         "latency": config.command_latency,
         "signals": graph.signals.signals,
+        "inputs": graph.inputs,
+        "block_inputs": graph.block.inputs,
+        "outputs": [(output, *OUTPUTS[output]) for output in graph.outputs],
+        "compared": COMPARED,
+        "diagram": DIAGRAM,
         "lost_rule": LOST_RULE,
         "stopping_time": STOPPING_TIME,
         "outside": OUT_OF_RANGE,
         "state_size": sum(part.size for part in graph.memory),
-        "variable": [gain.name for gain in varied.gains],
+        "variable": [gain.name for gain in graph.gains],
         "gains": gain_rows(gains) if isinstance(gains, Group) else [],
     }
-    in_onnx = check_onnx(model, vectors, type(controller).__name__)
-    rows = np.column_stack([vectors.signals, vectors.voltage])
-    csv = csv_text([*graph.signals.places, "voltage"], vectors.start, rows)
-    files, in_c = tested(controller_code(varied, CODE), csv, values)
+    in_onnx = check_onnx(model, graph, vectors)
+    columns = [row.name for row in graph.inputs]
+    rows = [[*given.values(), *found.values()] for given, found in zip(vectors.inputs, vectors.outputs, strict=True)]
+    csv = csv_text([*columns, *COMPARED], vectors.start, rows)
+    files, in_c = tested(code, csv, values)
     task = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
-    files |= {MODEL_FILE: model, ST_FILE: structured_text(varied).encode(), TASK_FILE: task.encode()}
-    return files, [f"{MODEL_FILE}: {in_onnx}", f"{CODE}.c: {in_c}"]
+    texts = {f"{code.name}.st": structured_text(graph, name), f"{code.name}_call.st": call_example(graph, name)}
+    files |= {file: text.encode("ascii") for file, text in texts.items()}
+    files |= {MODEL_FILE: model, TASK_FILE: task.encode()}
+    return files, [f"{MODEL_FILE}: {in_onnx}", f"{code.name}.c: {in_c}"]
 
 
-def check_onnx(model: bytes, vectors: Vectors, who: str) -> str:
+def check_onnx(model: bytes, graph: ControllerGraph, vectors: Vectors) -> str:
     """Differences between the ONNX model in onnxruntime and the test vectors, in words.
 
     Raises:
-        HydroError: a difference is above :data:`LARGEST_DIFFERENCE`.
+        HydroError: a difference is above :data:`LARGEST_DIFFERENCE`, or a state is another one.
     """
-    session = onnx_session(model)
-    state = np.zeros(session.get_inputs()[1].shape)
-    voltages = np.empty(len(vectors.voltage))
-    for sample, (start, signals) in enumerate(zip(*vectors[:2], strict=True)):
-        given = {"signals": signals, "valid": np.isfinite(signals), "start": np.array([start])}
-        voltage, state, *_ = session.run(None, {**given, "lost_limit": np.array([0]), "state": state})
-        voltages[sample] = voltage[0]
-    difference = np.abs(voltages - vectors.voltage) / FULL_VOLTAGE
-    largest = float(difference.max())
-    if not largest <= LARGEST_DIFFERENCE:
+    session, who = onnx_session(model), type(graph.block.controller).__name__
+    size = sum(part.size for part in graph.memory)
+    names = [output.name for output in session.get_outputs()]
+    differences, same = [], True
+    kinds = {row.name: row.kind for row in graph.inputs}
+    for start, given, expected in zip(*vectors, strict=True):
+        state = np.zeros(size) if start else state  # noqa: F821 - the first sample is a start
+        values = {name: np.array([value], kinds[name]) for name, value in given.items()}
+        found = dict(zip(names, session.run(None, {**values, "memory": state}), strict=True))
+        state = found["next_memory"]
+        differences.append(abs(float(found["command"][0]) - expected["command"]) / FULL_VOLTAGE)
+        same = same and all(int(found[name][0]) == expected[name] for name in COMPARED[1:])
+    largest = float(np.max(differences))
+    if not (largest <= LARGEST_DIFFERENCE and same):
         raise HydroError(
             f"{who}: the ONNX model differs by {largest:.2g} of full command from the controller in Python: "
             "cannot be exported"
         )
-    another = int((difference != 0.0).sum())
+    another = int(np.count_nonzero(differences))
     return (
-        f"{len(voltages)} samples in onnxruntime, {another} with another voltage, "
+        f"{len(differences)} samples in onnxruntime, {another} with another voltage, "
         f"largest difference of command {largest:.2g}"
     )

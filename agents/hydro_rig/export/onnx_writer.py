@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError, HydroError, __version__
-from hydro_rig.export.controller import CONTINUED, INPUTS, STARTED, ControllerGraph
+from hydro_rig.export.controller import ANSWER, CONTINUED, OUTPUT, STARTED, ControllerGraph
 from hydro_rig.export.graph import Builder, Node, in_order
 
 OPSET = 17
-OUTPUTS = ("voltage", "next_state", "lost_signals", "holding")
 DOUBLE = np.dtype(np.float64)
 _OPERATORS = {
     "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negative": "Neg", "absolute": "Abs",
@@ -181,42 +180,46 @@ class OnnxWriter:
 
 
 def controller_model(controller: ControllerGraph) -> Any:
-    """A controller as a model; inputs: :data:`INPUTS` and ``state``; outputs: :data:`OUTPUTS`.
+    """A block as a model: its inputs, gains and ``memory`` come in; its outputs and ``next_memory`` go out.
 
-    The state is one vector: the parts of the memory, one after the other, as ``double``, which represents every
-    ``float`` and truth value exactly.
+    The memory is one vector: its parts, one after the other, as ``double``, which represents every ``float``, whole
+    number and truth value exactly.
 
     Raises:
         ConfigurationError: the package onnx is not installed.
         HydroError: the model is wrong.
     """
-    parts, signals = controller.memory, controller.signals.signals
+    parts, graph, shared = controller.memory, controller.graph, controller.common
     size = sum(part.size for part in parts)
-    inputs = {"signals": (len(signals), DOUBLE), "state": (size, DOUBLE)}
-    for name in INPUTS:
-        inputs[name] = (controller.graph.inputs[name].size, controller.graph.inputs[name].kind)
-    writer = OnnxWriter(inputs, OUTPUTS)
+    inputs = {row.name: (1, graph.inputs[row.name].kind) for row in controller.inputs}
+    writer = OnnxWriter({**inputs, "memory": (size, DOUBLE)}, [*controller.outputs, "next_memory"])
     first = 0
     for part in parts:
-        tensor = writer.gathered("state", np.arange(first, first + part.size), f"state.{part.name}")
-        writer.given[part.name] = writer.cast(tensor, DOUBLE, part.kind, f"state.{part.name}")
+        tensor = writer.gathered("memory", np.arange(first, first + part.size), f"memory.{part.name}")
+        writer.given[part.name] = writer.cast(tensor, DOUBLE, part.kind, f"memory.{part.name}")
         first += part.size
-    builder, chosen, continued = Builder(), controller.common, controller.case(CONTINUED)
-    for name, node in controller.case(STARTED).items():
-        chosen[name] = node
-        if node is not continued[name]:
-            choice = [chosen["begins"], node, continued[name]]
-            chosen[name] = builder.node("where", choice, np.zeros(node.size, node.kind), name=name)
-    pieces = [writer.cast(writer.tensor(chosen[part.name]), part.kind, DOUBLE, f"next.{part.name}") for part in parts]
-    joined = writer.add("Concat", pieces, "next_memory", axis=0)
-    outputs = {
-        "voltage": (writer.tensor(chosen["voltage"]), 1, DOUBLE),
-        "next_state": (joined, size, DOUBLE),
-        "lost_signals": (writer.tensor(chosen["lost"]), 1, DOUBLE),
-        "holding": (writer.tensor(chosen["holding"]), 1, np.dtype(np.bool_)),
-    }
-    facts = {
-        "signals": ", ".join(f"{signal.name} ({signal.unit})" for signal in signals),
-        "sample_time": repr(controller.signals.config.control_period),
-    }
+    builder, new = Builder(), dict(shared)
+    started, continued = controller.case(STARTED), controller.case(CONTINUED)
+    for name, node in started.items():
+        before = builder.constant(np.zeros(1)) if name.startswith(ANSWER) else graph.inputs[name]
+        example = np.zeros(node.size, node.kind)
+        goes_on = (
+            node
+            if node is continued[name]
+            else builder.node("where", [shared["begins"], node, continued[name]], example, name=name)
+        )
+        new[name] = (
+            goes_on
+            if goes_on is before
+            else builder.node("where", [shared["controls"], goes_on, before], example, name=name)
+        )
+        if name.startswith(ANSWER):
+            writer.given[name] = writer.tensor(new[name])
+    pieces = [writer.cast(writer.tensor(new[part.name]), part.kind, DOUBLE, f"next.{part.name}") for part in parts]
+    outputs = {"next_memory": (writer.add("Concat", pieces, "joined_memory", axis=0), size, DOUBLE)}
+    for name in controller.outputs:
+        node = shared.get(OUTPUT + name)
+        tensor = writer.given[ANSWER + name] if node is None else writer.tensor(node)
+        outputs[name] = (tensor, 1, DOUBLE if node is None else node.kind)
+    facts = {"sample_time": repr(controller.signals.config.control_period)}
     return writer.model(outputs, controller.title, facts)

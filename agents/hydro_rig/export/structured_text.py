@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from hydro_env import __version__
 from hydro_rig.export.c_files import render
 from hydro_rig.export.c_writer import Language, Writer, declaration
-from hydro_rig.export.controller import ControllerGraph, element_names, field_names, inputs_of, written_step
+from hydro_rig.export.controller import GAINS, ControllerGraph, field, written_step
 from hydro_rig.export.graph import KINDS
 from hydro_rig.export.tracing import TraceError
 
-TYPES = dict(zip(KINDS, ("LREAL", "REAL", "LINT", "BOOL"), strict=True))
+TYPES = dict(zip(KINDS, ("LREAL", "REAL", "DINT", "BOOL"), strict=True))
 OPERATIONS = {
     "add": "{0} + {1}", "subtract": "{0} - {1}", "multiply": "{0} * {1}", "divide": "{0} / {1}", "negative": "-{0}",
     "and": "{0} AND {1}", "or": "{0} OR {1}", "not": "NOT {0}", "equal": "{0} = {1}",
@@ -24,7 +25,7 @@ OPERATIONS = {
     "tanh": "1.0 - 2.0 / (EXP(2.0 * LIMIT(-20.0, {a}, 20.0)) + 1.0)",
     "arcsinh": "SEL({0} < 0.0, 1.0, -1.0) * LN(ABS({a}) + SQRT({0} * {0} + 1.0))",
 }  # fmt: skip
-_RESERVED = frozenset((
+RESERVED = frozenset((
     "abs", "acos", "action", "add", "any", "array", "asin", "at", "atan", "bool", "by", "byte", "case",
     "configuration", "constant", "cos", "d", "dint", "div", "do", "dword", "elsif", "exit", "exp", "expt", "false",
     "function", "i", "int", "j", "jmp", "k", "le", "limit", "lint", "ln", "log", "lreal", "lword", "max", "min",
@@ -40,6 +41,8 @@ _RESERVED = frozenset((
 ))  # fmt: skip
 """Words of the language that a variable of Python may have as its name, and the indices of loops."""
 
+ASCII = {"±": "+/-", "…": "...", "−": "-", "→": "->", "²": "2", "°": "deg", "√": "root of "}
+
 
 def literal(value: Any) -> str:
     """A number in Structured Text: the shortest one that reads back exactly; infinity is the largest REAL.
@@ -48,7 +51,7 @@ def literal(value: Any) -> str:
     """
     if isinstance(value, np.bool_ | bool):
         return "TRUE" if value else "FALSE"
-    if isinstance(value, np.integer):
+    if isinstance(value, np.integer | int):
         return str(int(value))
     if np.isnan(value):
         raise TraceError("Structured Text has no constant that is not a number: cannot be exported")
@@ -71,28 +74,59 @@ LANGUAGE = Language(
     array="{1} : ARRAY[0..{3}] OF {0};",
     table="{1} : ARRAY[0..{3}] OF {0} := [\n        {4}];",
     comment="(* {} *)",
-    reserved=_RESERVED,
+    reserved=RESERVED,
     declares_first=True,
     repeats=frozenset({"arcsinh"}),
 )
 
 
+def st_name(name: str) -> str:
+    """Name of an input or output: ``pressure_a`` → ``PressureA``; ``Reference`` is a word of some dialects."""
+    if name == "reference":
+        return "ReferencePosition"
+    return "".join(word[:1].upper() + word[1:] for word in name.split("_"))
+
+
 def structured_text(controller: ControllerGraph, name: str = "Controller") -> str:
     """A function block; without a call of another library, with the arithmetic of the C code.
 
-    Args:
-        controller: a graph whose gains are inputs.
-        name: of the function block; ``NAMEGains`` is the structure of its gains.
+    ``name``: of the function block; ``NAMEGains`` is the structure of its gains.
     """
-    fields = {part: f"{text}_before" for part, text in field_names(controller).items()}
-    inputs = inputs_of(controller, ("Signals", "Valid", "Start", "LostLimit"), "Gains.") | fields
-    taken = ("voltage", "signals", "valid", "start", "lostlimit", "gains", "holding", *fields.values())
-    writer = Writer(controller.graph, inputs, LANGUAGE, element_names(controller, "AT_"), taken)
-    values = written_step(controller, writer, fields) | {
+    inputs = {row.name: st_name(row.name) for row in controller.inputs if not row.name.startswith(GAINS)}
+    gains = {GAINS + gain.name: f"Gains.{gain.name}" for gain in controller.gains}
+    outputs = {output: st_name(output) for output in controller.outputs}
+    fields = {part.name: field(part.name) for part in controller.memory}
+    taken = ("wanted", "gains", name, *inputs.values(), *outputs.values(), *fields.values())
+    writer = Writer(controller.graph, {}, LANGUAGE, taken)
+    values = written_step(controller, writer, {**fields, **inputs, **gains}, outputs)
+    values |= {
         "name": name,
+        "st_name": st_name,
+        "types": {bool: "BOOL", int: "DINT", float: "LREAL"},
+        "inputs": [(row, literal(row.kind(row.default))) for row in controller.block.inputs],
         "gains": [gain._replace(value=literal(float(gain.value))) for gain in controller.gains],
-        "parts": [declaration(LANGUAGE, fields[part.name], part.size, part.kind) for part in controller.memory],
+        "parts": [declaration(LANGUAGE, field(p.name), p.size, p.kind) for p in values["kept_parts"]],
         "declared": writer.declared,
+        "work": [declaration(LANGUAGE, one, size, kind) for one, (kind, size) in writer.work.items()],
     }
-    text = render("controller.st.j2", values)
-    return re.sub(r"[ \t]+\n", "\n", text)
+    return in_ascii(render("controller.st.j2", values))
+
+
+def call_example(controller: ControllerGraph, name: str) -> str:
+    """A program that calls the function block with the counts of 16-bit terminals."""
+    values = {
+        "name": name,
+        "version": __version__,
+        "sample_time": controller.signals.config.control_period,
+        "sensors": [signal for signal in controller.signals.signals if signal.sensor],
+        "st_name": st_name,
+        "literal": literal,
+    }
+    return in_ascii(render("controller_call.st.j2", values))
+
+
+def in_ascii(text: str) -> str:
+    """A text for editors of old."""
+    for letter, plain in ASCII.items():
+        text = text.replace(letter, plain)
+    return re.sub(r"[ \t]+\n", "\n", text) + "\n"

@@ -1,5 +1,6 @@
 """Exported controllers against those in Python: sample by sample, in closed loops, lost samples, refusals."""
 
+import ctypes
 import sys
 from itertools import pairwise
 
@@ -7,17 +8,16 @@ import numpy as np
 import onnx
 import pytest
 from command_line import assert_one_clear_line, hydro
-from exported_code import InC, InOnnx, InPython, library
+from exported_code import InC, InPython, library
 from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.loading import load_controller
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import VALIDATION_SEEDS
-from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.task.configuration import task_config
 from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
 from hydro_rig.export.controller_folder import exported_files
@@ -30,18 +30,14 @@ SEED = VALIDATION_SEEDS.start + 710_000
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_vectors_of_each_kind_are_those_of_python_onnx_and_c(kind, exported):
-    made = exported(kind)  # fails if ONNX or C differs from the vectors
-    rows = np.genfromtxt(made.folder / "vectors.csv", delimiter=",", skip_header=1)
-    starts, signals, expected = rows[:, 0] > 0.0, rows[:, 1:-1], rows[:, -1]
-    assert starts.sum() == 9  # of three episodes, and after each loss
-    assert (np.abs(expected) == 10.0).any()
-    assert np.isnan(signals).any()
-    run, first = InPython(made.graph.measured), slice(180)  # one of the episodes: it takes its time
-    voltage = [run(row, bool(start)) for row, start in zip(signals[first], starts[first], strict=True)]
-    assert np.abs(voltage - expected[first]).max() <= 1e-5
-    assert made.report[0].startswith("controller.onnx: 540 samples in onnxruntime")
-    assert made.report[1].startswith(("controller.c: 540 samples", "controller.c: not compiled"))
+def test_the_vectors_of_each_kind_are_those_of_the_environment_onnx_and_c(kind, exported):
+    made = exported(kind)  # fails if the environment, ONNX or C differ from the block in Python
+    rows = np.genfromtxt(made.folder / "vectors.csv", delimiter=",", names=True)
+    assert rows["start"].sum() == 4  # three episodes and the tour
+    assert (np.abs(rows["command"]) == 10.0).any()
+    assert np.isnan(rows["position"]).any()
+    assert made.report[0].startswith(f"controller.onnx: {len(rows)} samples in onnxruntime")
+    assert made.report[1].startswith((f"controller.c: {len(rows)} samples", "controller.c: not compiled"))
 
 
 @pytest.mark.parametrize("kind", ["pid", "ppo"])
@@ -54,8 +50,8 @@ def test_the_model_has_plain_operators_fixed_shapes_and_names(kind, exported):
         assert all(dimension.dim_value > 0 for dimension in value.type.tensor_type.shape.dim)
     names = [node.name for node in model.graph.node]
     assert len(set(names)) == len(names)
-    assert {"previous_voltage_sample", "position_scaled"} <= set(names)
-    assert [value.name for value in model.graph.input] == ["signals", "state", "valid", "start", "lost_limit"]
+    assert {"previous_command_sample", "position_scaled"} <= set(names)
+    assert {"memory", "position", "valid_position", "output_limit"} <= {value.name for value in model.graph.input}
 
 
 def test_the_compensation_of_an_overlapped_valve_is_exported():
@@ -64,19 +60,39 @@ def test_the_compensation_of_an_overlapped_valve_is_exported():
     exported_files(compensating, task, "hydro export")  # fails if C or ONNX differs from Python
     proportional = ["proportional" in [gain.name for gain in variable_gains(one)] for one in (compensating, plain)]
     assert proportional == [False, True]  # the compensation is as wide as the noise that this gain makes
-    measured = controller_graph(compensating, task).measured
     env = ServoHydraulicVectorEnv(1, task)
     observation, _ = env.reset(seed=[SEED])
-    run, memories, added = InPython(measured), [None] * 2, 0.0
-    for step in range(60):
+    memories, added = [None] * 2, 0.0
+    for _ in range(60):
         commands = []
         for number, controller in enumerate((compensating, plain)):
             command, memories[number] = controller.predict(observation, memories[number])
             commands.append(float(command[0, 0]))
-        assert run(measured.signals.of_axes(env.axes)[0], step == 0) == pytest.approx(10.0 * commands[0], abs=1e-5)
         added = max(added, abs(commands[0] - commands[1]))
         observation, *_ = env.step([[commands[0]]])
     assert 0.08 < added < 0.25  # the overlap, on one side of zero or from one side to the other
+
+
+def test_several_blocks_with_own_gains_fit_into_one_program(exported, tmp_path):
+    names = {"pid": "Lift", "flow_linearising": "TiltAxis"}
+    graphs = {kind: exported(kind).graph for kind in names}
+    loaded = library(tmp_path, *(controller_code(graph, names[kind]).files for kind, graph in graphs.items()))
+    env = ServoHydraulicVectorEnv(1, TASK)
+    env.reset(seed=[SEED + 30])
+    for kind, prefix in (("pid", "lift"), ("flow_linearising", "tilt_axis")):
+        graph = graphs[kind]
+        row = {name: float(value[0]) for name, value in graph.signals.of_axes(env.axes).items()}
+        row |= {f"valid_{name}": True for name in row} | {"enable": True, "output_rate": 1e9}
+        usual, turned, expected = (InC(loaded, graph, prefix), InC(loaded, graph, prefix), InPython(graph))
+        gain = graph.inputs[-len(graph.gains)]
+        for closes in (False, True, True):
+            found = [run({**row, "control": closes, "reference": 0.1})["command"] for run in (usual, expected)]
+            other = turned({**row, "control": closes, "reference": 0.1, gain.name: 0.5 * gain.default})["command"]
+            assert found[0] == found[1]
+        assert other != found[0]
+        version = getattr(loaded, f"{prefix}_version")
+        version.restype = ctypes.c_char_p
+        assert version().decode() == __version__
 
 
 def test_several_controllers_fit_into_one_program(exported, tmp_path):
@@ -92,74 +108,18 @@ def test_several_controllers_fit_into_one_program(exported, tmp_path):
 # Lost samples and values out of range --------------------------------------------------------------------------------
 
 
-def samples(graph, count):
-    """Names and values of the signals of an axis at rest, in the order of the controller."""
-    env = ServoHydraulicVectorEnv(1, TASK)
-    env.reset(seed=[SEED + 40], options={"reference": ["sine"]})
-    rows = []
-    for _ in range(count):
-        rows.append(graph.signals.of_axes(env.axes)[0])
-        env.step(np.zeros((1, 1), np.float32))
-    return [signal.name for signal in graph.signals.signals], np.array(rows)
-
-
-def run_in_onnx(folder, rows):
-    """Voltage and number of lost signals of each sample."""
-    run = InOnnx(folder / "controller.onnx")
-    return np.array([(run(row, number == 0), run.lost) for number, row in enumerate(rows)])
-
-
-def test_it_waits_for_the_first_complete_sample_and_starts_there(exported):
-    made = exported("flow_linearising")
-    names, rows = samples(made.graph, 30)
-    broken = np.concatenate([rows[:3], rows])
-    broken[:3, names.index("pressure_a")] = (np.nan, np.inf, -np.inf)
-    broken[:3, names.index("previous_voltage")] = (1.5, 1.5, 99.0)
-    results = run_in_onnx(made.folder, broken)
-    assert results[:3].tolist() == [[1.5, 1], [1.5, 1], [1.5, 2]]  # 99 V is no voltage of a valve
-    assert np.array_equal(results[3:], run_in_onnx(made.folder, rows))
-
-
-def test_a_lost_sample_is_replaced_by_the_last_one(exported):
-    made = exported("adrc")
-    names, rows = samples(made.graph, 30)
-    lost, held = rows.copy(), rows.copy()
-    place = names.index("position")
-    lost[10:13, place], held[10:13, place] = np.nan, rows[9, place]
-    results, expected = (run_in_onnx(made.folder, values) for values in (lost, held))
-    assert np.array_equal(results[:, 0], expected[:, 0])
-    assert results[:, 1].tolist() == [0] * 10 + [1] * 3 + [0] * 17
-
-
-@pytest.mark.parametrize("kind", ["flow_linearising", "lqg", "ppo"])
-def test_no_input_makes_the_voltage_anything_but_a_voltage(kind, exported):
-    _, rows = samples(exported(kind).graph, 120)
-    generator = np.random.default_rng(5)
-    wild = rows * 10.0 ** generator.uniform(-3, 6, rows.shape) * generator.choice([-1.0, 1.0], rows.shape)
-    wild[generator.random(rows.shape) < 0.05] = np.nan
-    voltage = run_in_onnx(exported(kind).folder, np.concatenate([wild, rows]))[:, 0]
-    assert np.isfinite(voltage).all()
-    assert np.abs(voltage).max() <= 10.0
-
-
-class Exploding:
-    """A controller whose command is no number once the pressure is high."""
-
-    def __init__(self, config):
-        self.layout = ObservationLayout.of(config)
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        count = np.zeros_like(observation[:, 0]) if state is None else state + np.float32(1.0)
-        pressure = self.layout.si(observation, "pressure_a")
-        return (np.sqrt(60e5 - pressure) / np.sqrt(60e5 - pressure) * 0.01 * count)[:, None], count
-
-
-def test_after_a_command_that_is_no_number_it_keeps_the_voltage_and_starts_again():
-    measured = controller_graph(Exploding(TASK), TASK).measured
-    assert [signal.name for signal in measured.signals.signals] == ["pressure_a", "previous_voltage"]
-    run = InPython(measured)
-    voltage = [run(np.array([pressure, 0.7]), False) for pressure in (1e5, 1e5, 1e5, 90e5, 90e5, 1e5, 1e5)]
-    assert voltage == pytest.approx([0.0, 0.1, 0.2, 0.7, 0.7, 0.0, 0.1], abs=1e-6)
+@pytest.mark.parametrize("kind", ["lqg", "ppo"])
+def test_no_input_makes_the_command_anything_but_a_voltage(kind, exported):
+    graph, generator = exported(kind).graph, np.random.default_rng(5)
+    run, usual = InPython(graph), {"enable": True, "reset": True}
+    for number in range(150):
+        row = {**usual, "control": number % 20 > 0}
+        for signal in graph.signals.signals:
+            scale = generator.choice([-1.0, 1.0]) * 10.0 ** generator.uniform(-3.0, 2.0)
+            row[signal.name] = scale * signal.high if generator.random() > 0.05 else np.nan
+            row[f"valid_{signal.name}"] = bool(np.isfinite(row[signal.name]))
+        command = run(row)["command"]
+        assert np.abs(command) <= 10.0
 
 
 # Other tasks ---------------------------------------------------------------------------------------------------------
@@ -172,7 +132,7 @@ def test_a_policy_of_another_period_and_a_rig_without_spool_sensor():
     assert controller_graph(policy, fast).signals.config.control_period == 0.002
     blind = TaskConfig(sensors={"spool_position": {"fitted": False}}, references={"preview_times": ()})
     names = [signal.name for signal in controller_graph(load_controller("pid", blind, "pid"), blind).signals.signals]
-    assert names == ["reference", "position", "previous_voltage"]
+    assert names == ["reference", "position"]
 
 
 @pytest.mark.parametrize(
@@ -237,10 +197,17 @@ def test_a_missing_package_is_one_clear_line(package, exported, monkeypatch):
         exported_files(controller, TASK, "")
 
 
+@pytest.mark.parametrize("name", ["Pid", "while", "2Lift", "Lift axis"])
+def test_a_name_that_no_compiler_takes_is_refused(name, exported):
+    with refused("must be at most 31 letters and digits"):
+        exported_files(exported("pid").controller, TASK, "", name=name)
+
+
 def test_the_command_writes_the_folder_once_and_refuses_what_it_does_not_know(tmp_path):
     folder = tmp_path / "pid"
-    answer = hydro("export", "pid", "--output", folder)
+    answer = hydro("export", "pid", "--name", "Lift", "--output", folder)
     assert answer.returncode == 0, answer.stderr
+    assert "FUNCTION_BLOCK Lift" in (folder / "lift.st").read_text()
     assert "largest difference of command" in answer.stdout
     assert_one_clear_line(hydro("export", "pid", "--output", folder), "holds results already")
     assert_one_clear_line(hydro("export", "nonsense", "--output", tmp_path / "x"), "nonsense")
@@ -258,4 +225,4 @@ def test_the_name_of_a_reference_ahead_says_its_true_time(period, first):
     read = signals.of_axes(env.axes)
     for signal in ahead:
         time = 1e-3 * float(signal.name.removeprefix("reference_in_").removesuffix("ms"))
-        np.testing.assert_array_equal(read[:, signals.places[signal.name]], env.axes.reference[:, round(time / period)])
+        np.testing.assert_array_equal(read[signal.name], env.axes.reference[:, round(time / period)])

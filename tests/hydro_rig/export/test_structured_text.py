@@ -1,80 +1,115 @@
-"""Gains and names in the C code and the Structured Text of a controller."""
+"""Structured Text: the rules of its compilers, the vectors, and gains that change."""
+
+import csv
+import re
 
 import numpy as np
 import pytest
-from exported_code import InC, assert_it_holds_until_start, at_rest, library
+from exported_code import InC, at_rest, library
 
-from hydro_agents.controllers.own_loop import LOST_TIME
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, equilibrium
-from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
-from hydro_rig.export.controller_folder import make_vectors
+from hydro_rig.export.controller import controller_code, controller_graph
+from hydro_rig.export.structured_text import RESERVED
+
+KINDS = ("pid", "flow_linearising")
+SEED = VALIDATION_SEEDS.start + 710_800
 
 
-@pytest.fixture(scope="module", params=["pid", "flow_linearising"])
-def varied(request, exported):
-    """Kind, controller and its graph with variable gains."""
-    made = exported(request.param)
-    config = made.graph.signals.config
-    gains = variable_gains(made.controller)
-    return request.param, made.controller, controller_graph(made.controller, config, gains)
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_gives_commands_and_states_of_the_vectors_sample_by_sample(kind, block, exported):
+    different, usual = 0, block(kind).gains
+    for row in csv.DictReader((exported(kind).folder / "vectors.csv").open()):
+        if row["start"] == "1":
+            run = block(kind)
+            run.stops = False  # some vectors hold gains and limits that are not numbers
+        inputs = {row.name: row.kind(float(row_value)) for row, row_value in _inputs(exported(kind).graph, row)}
+        run.gains = {name: inputs.pop(f"gains.{name}") for name in usual}
+        found = run(inputs)
+        assert (found["state"], found["fault_code"]) == (float(row["state"]), float(row["fault_code"]))
+        different = max(different, abs(found["command"] - float(row["command"])))
+    assert different <= 1e-6
 
 
-def test_it_gives_the_voltages_of_the_vectors_sample_by_sample(varied, block, exported):
-    kind, *_ = varied
-    rows, run = np.genfromtxt(exported(kind).folder / "vectors.csv", delimiter=",", skip_header=1), block(kind)
-    voltage = [run(row[1:-1], row[0] > 0.0) for row in rows]
-    np.testing.assert_allclose(voltage, rows[:, -1], rtol=0, atol=1e-6)
+def _inputs(graph, row):
+    return [(each, row[each.name]) for each in graph.inputs]
 
 
 @pytest.mark.slow  # blark reads a thousand letters a second
-def test_it_is_structured_text_by_the_grammar_of_others(varied, exported):
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_is_structured_text_by_the_grammar_of_others(kind, exported):
     parse = pytest.importorskip("blark.parse", reason="the extra 'dev' brings it").parse_source_code
-    assert parse((exported(varied[0]).folder / "controller.st").read_text()).exception is None
+    assert parse((exported(kind).folder / "controller.st").read_text()).exception is None
 
 
-def test_a_new_block_begins_at_rest_and_holds_the_axis_when_the_position_is_lost(varied, block):
-    kind, _, graph = varied
-    config = graph.signals.config
-    for position in (-0.04, 0.0, 0.02):
-        _, holding = equilibrium(config.plant, position)
-        assert block(kind)(at_rest(graph, position), False) == pytest.approx(holding, abs=0.2)
-    assert_it_holds_until_start(block(kind), graph, round(LOST_TIME / config.control_period))
+@pytest.mark.parametrize("kind", [*KINDS, "ppo"])
+def test_it_keeps_the_rules_of_the_compilers_of_the_second_edition(kind, exported):
+    """Each was found with MATIEC, which takes the text with these rules and gives the commands of the vectors."""
+    text = re.sub(
+        r"\(\*.*?\*\)", "", (exported(kind).folder / "controller.st").read_bytes().decode("ascii"), flags=re.DOTALL
+    )
+    assert not re.search(r"END_(IF|FOR|STRUCT)(?!;)", text)
+    assert not re.search(r"[\[,] *\(-", text)
+    assert not re.search(r"TO 0 DO|VAR_TEMP|VAR_EXTERNAL|LINT", text)
+    assert max(abs(float(one)) for one in re.findall(r"\d+\.\d+(?:E[-+]\d+)?", text)) < 3.5e38
+    declared = re.findall(r"^    (\w+) : (ARRAY\[0\.\.(\d+)\] OF )?(REAL|LREAL|DINT|BOOL)", text, flags=re.MULTILINE)
+    names = {name.lower() for name, *_ in declared}
+    assert not {name for name in names if name in RESERVED} - {gain.name for gain in exported(kind).graph.gains}
+    whole = {name for name, array, *_ in declared if array}
+    assert not re.search(rf"\b({'|'.join(whole)}) := ", text)
+    inputs = text.partition("VAR_INPUT")[2].partition("END_VAR")[0]
+    assert "ARRAY" not in inputs
+    bytes_of = {"LREAL": 8, "REAL": 4, "DINT": 4, "BOOL": 1}
+    variables = text.partition("VAR_INPUT")[2].replace(text.partition("VAR CONSTANT")[2].partition("END_VAR")[0], "")
+    held = re.findall(r"^    \w+ : (?:ARRAY\[0\.\.(\d+)\] OF )?(REAL|LREAL|DINT|BOOL)", variables, flags=re.MULTILINE)
+    assert sum((int(last or 0) + 1) * bytes_of[name] for last, name in held) <= 8000
 
 
 @pytest.mark.parametrize("bad", [np.nan, -5.0])
 @pytest.mark.parametrize("language", ["c", "st"])
-def test_a_gain_that_is_none_holds_the_last_command_for_this_call(language, bad, varied, block, tmp_path):
-    kind, _, graph = varied
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_gain_that_is_none_is_refused(kind, language, bad, exported, block, tmp_path):
+    graph = exported(kind).graph
     if language == "c":
-        run = InC(library(tmp_path, controller_code(graph).files))
-        gains = run.gains_of([gain.name for gain in graph.gains])
+        loaded = library(tmp_path, controller_code(graph).files)
+        usual, other = (InC(loaded, graph) for _ in range(2))
     else:
-        run = block(kind)
-        gains, run.stops = run.gains, False  # Structured Text cannot avoid a comparison with such a gain
-    name, env, voltages = graph.gains[0].name, ServoHydraulicVectorEnv(1, graph.signals.config), []
-    env.reset(seed=[VALIDATION_SEEDS.start + 710_800], options={"reference": ["sine"]})
-    for number in range(110):
-        usual = gains[name]
-        gains[name] = bad if number == 80 else usual
-        voltages.append(run(graph.signals.of_axes(env.axes)[0], False))
-        gains[name] = usual
-        env.step(np.array([[voltages[-1] / 10.0]], dtype=np.float32))
-    assert voltages[80] == pytest.approx(voltages[79], abs=1e-6)  # the valve receives single precision
-    assert voltages[79] != pytest.approx(voltages[78], abs=1e-6)
-    assert np.abs(np.diff(voltages[70:])).max() < 1.0
+        usual, other = block(kind), block(kind)
+        other.stops = False  # Structured Text cannot avoid a comparison with such a gain
+    name, state = graph.gains[0].name, equilibrium(graph.signals.config.plant, 0.0)[0]
+    for step in range(20):
+        row = {**at_rest(graph, state, 0.02), "control": step > 0}
+        spoilt = {**row, f"gains.{name}": bad}
+        if language == "st":
+            other.gains[name], spoilt = bad, row
+        found, expected = other(spoilt), usual(row)
+        assert found["command"] == expected["command"]
+        assert (found["fault_code"], expected["fault_code"]) == (4, 0)
+    assert expected["command"] != 0.0
 
 
-def test_a_gain_that_is_changed_acts_as_in_a_new_controller(varied, block):
-    kind, controller, graph = varied
-    config = graph.signals.config
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_gain_that_is_changed_acts_as_in_a_new_controller(kind, exported, block):
+    graph = exported(kind).graph
+    config, controller = graph.signals.config, graph.block.controller
     assert {gain.name for gain in graph.gains} >= ({"proportional"} if kind == "pid" else {"position_gain"})
-    plain, changed = block(kind), block(kind)
-    changed.gains = {name: 0.8 * value for name, value in plain.gains.items()}
-    settings = controller.gains.model_dump() | {gain.name: changed.gains[gain.name] for gain in graph.gains}
-    vectors = make_vectors(controller_graph(make_controller(kind, config, settings), config).measured)
-    assert np.ptp(vectors.voltage) > 1.0
-    rows = list(zip(vectors.signals, vectors.start, strict=True))
-    new, old = (np.abs([run(*row) for row in rows] - vectors.voltage).max() for run in (changed, plain))
-    assert new <= 1e-6 < 1e-3 < old
+    changed = block(kind)
+    changed.gains = {name: 0.8 * value for name, value in changed.gains.items()}
+    settings = controller.gains.model_dump() | changed.gains
+    new, old = (
+        controller_graph(make_controller(kind, config, s), config).block
+        for s in (settings, controller.gains.model_dump())
+    )
+    env, memories, apart = ServoHydraulicVectorEnv(1, config), [None, None], 0.0
+    env.reset(seed=[SEED], options={"reference": ["sine"]})
+    for step in range(100):
+        row = {name: float(value[0]) for name, value in graph.signals.of_axes(env.axes).items()}
+        row |= {f"valid_{s.name}": True for s in graph.signals.signals if s.sensor}
+        row |= {"enable": True, "control": step > 0, "follow": True}
+        (expected, memories[0]), (other, memories[1]) = new(row, memories[0]), old(row, memories[1])
+        command = changed({**{each.name: each.default for each in graph.block.inputs}, **row})["command"]
+        assert command == pytest.approx(expected["command"], abs=1e-6)
+        apart = max(apart, abs(other["command"] - command))
+        env.step(np.array([[command / 10.0]]))
+    assert apart > 1e-3
