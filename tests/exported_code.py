@@ -6,11 +6,9 @@ Inputs that are missing have their usual values.
 import ctypes
 from collections import ChainMap
 
-import numpy as np
 import pytest
 
 from hydro_rig.export.c_files import WARNINGS, c_compiler, compiled
-from hydro_rig.export.onnx_writer import onnx_session
 
 TYPES = {bool: ctypes.c_int, int: ctypes.c_long, float: ctypes.c_double}
 WHOLE = ("state", "fault_code", "lost_signals")
@@ -49,21 +47,6 @@ class InC:
         self.fill(inputs)
         assert self.step(self.buffer) == self.self.command
         return {name: getattr(self.self, name) for name in self._graph.outputs}
-
-
-class InOnnx:
-    """A block as an ONNX model."""
-
-    def __init__(self, file, graph):
-        self._session, self._graph = onnx_session(file.read_bytes()), graph
-        self._names = [output.name for output in self._session.get_outputs()]
-        self._memory = np.zeros(sum(part.size for part in graph.memory))
-
-    def __call__(self, inputs):
-        given = {row.name: np.array([inputs.get(row.name, row.default)], row.kind) for row in self._graph.inputs}
-        found = dict(zip(self._names, self._session.run(None, {**given, "memory": self._memory}), strict=True))
-        self._memory = found.pop("next_memory")
-        return {name: value[0] for name, value in found.items()}
 
 
 class InPython:

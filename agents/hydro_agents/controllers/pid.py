@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from copy import copy
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,6 +127,12 @@ class PID(ClassicalController):
         bounded = np.clip(lasting, -self._limit, self._limit)
         integral = integral + (bounded - lasting) * np.minimum(period / g.anti_windup_time, 1.0)
         return self._compensated(wanted), PIDState(integral, velocity, position, reference)
+
+    def limited(self, largest: Any) -> PID:
+        """The same controller where the valve receives no command beyond ``largest``, (): no integral winds up."""
+        changed = copy(self)
+        changed._limit = np.minimum(self._limit, largest)
+        return changed
 
     def _compensated(self, command: Floats) -> Floats:
         """The command with the part of the overlap that the valve needs before it opens, (N,)."""

@@ -181,7 +181,10 @@ class Block:
 
     def answer(self, observation: Any, inputs: Mapping[str, Any], memory: Any) -> tuple[dict[str, Any], Any]:
         """What the controller answers, by name, () each, and its new memory; ``None``: it begins."""
-        command, new = self.controller.predict(observation, memory)
+        controller: Any = self.controller
+        if hasattr(controller, "limited"):
+            controller = controller.limited(_output_limit(inputs) / FULL_VOLTAGE)
+        command, new = controller.predict(observation, memory)
         wanted = command.astype(np.float64)[0, 0]
         answer: dict[str, Any] = {}
         if self.corrects:
@@ -222,8 +225,7 @@ class Block:
         rests = np.logical_or(is_now[State.READY], is_now[State.HOLDING])
         target = np.where(is_now[State.MANUAL], by_hand, np.where(rests, sample.rest, 0.0))
         target = np.where(is_now[State.CONTROLLING], wanted, target)
-        given = inputs["output_limit"]
-        limit = np.where(given >= 0.0, np.minimum(given, FULL_VOLTAGE), 0.0)
+        limit = _output_limit(inputs)
         target = named("limited", np.clip(target, -limit, limit))
         rate = inputs["output_rate"]
         largest_step = np.where(rate > 0.0, rate, FULL_VOLTAGE / STOPPING_TIME) * self._period
@@ -286,3 +288,9 @@ class Block:
         corrected = ("base_command", "correction") if self.corrects else ()
         estimated = ("estimated_leak", "estimated_flow_gain", "estimated_offset") if self.estimates else ()
         return ("wanted", *corrected, *estimated)
+
+
+def _output_limit(inputs: Mapping[str, Any]) -> Any:
+    """Largest command, V, (); 0 for what is not a number."""
+    given = inputs["output_limit"]
+    return np.where(given >= 0.0, np.minimum(given, FULL_VOLTAGE), 0.0)

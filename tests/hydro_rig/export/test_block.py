@@ -23,7 +23,8 @@ EXACT = {"sensors": {"enabled": False}, "randomisation": {}, "leakage": {"health
 PAPER, OTHER = "the paper's rig", "a rig from nameplates"
 PID_OF_OTHER = {"proportional": 30.0, "integral": 50.0, "feedforward_extending": 2.0, "feedforward_retracting": 2.4}
 KINDS = [(kind, rig) for rig in (PAPER, OTHER) for kind in ("pid", "flow_linearising", "ppo")]
-STARTS = {PAPER: 0.0, OTHER: -0.1}  # m
+STARTS = {PAPER: -0.05, OTHER: -0.2}  # m
+MOVES = {PAPER: 0.1, OTHER: 0.4}  # m, of a second and a half at least
 FAST = {"output_rate": 1e9, "max_speed": 1e9, "max_acceleration": 1e9}
 OFF, READY, CONTROLLING, MANUAL, HOLDING, FAULT = State
 EVERY_TRANSITION = {
@@ -181,12 +182,23 @@ def test_it_takes_over_without_a_bump_from_any_reference(kind, rig, distance, ma
     assert abs(axis.positions[-1] - target) < 1e-3
 
 
+def test_the_integral_does_not_wind_up_at_a_low_output_limit(made, in_c):
+    graph, task = made("pid", PAPER)
+    axis = Axis(in_c("pid", PAPER), graph, task, 0.0)
+    axis.drive({}, 2)
+    slow = {"control": True, "reference": 0.02, "output_limit": 2.0, "max_speed": 1.0, "max_acceleration": 50.0}
+    axis.drive(slow, 400)
+    assert np.abs(axis.commands()).max() == 2.0
+    assert max(axis.positions) < 0.0205
+    assert axis.positions[-1] == pytest.approx(0.02, abs=2e-4)
+
+
 def test_the_internal_reference_goes_from_the_axis_to_its_target_within_its_limits(made, in_c):
     graph, task = made("flow_linearising", PAPER)
     axis, period = Axis(in_c("flow_linearising", PAPER), graph, task, 0.0), task.control_period
     limits = {"max_speed": 0.04, "max_acceleration": 0.5, "control": True}
     axis.drive({}, 2)
-    axis.drive({**limits, "reference": 0.03}, 150)
+    axis.drive({**limits, "reference": 0.02}, 150)
     axis.drive({**limits, "reference": -0.01}, 30)
     axis.drive({**limits, "reference": 0.02}, 250)
     path = np.array([one["internal_reference"] for one in axis.outputs[2:]])
@@ -194,7 +206,7 @@ def test_the_internal_reference_goes_from_the_axis_to_its_target_within_its_limi
     assert path[0] == pytest.approx(axis.positions[2], abs=1e-4)
     assert np.abs(speed).max() == pytest.approx(0.04, rel=1e-6)
     assert np.abs(np.diff(speed)).max() <= 0.5 * period * (1.0 + 1e-6)
-    assert path[149] == 0.03
+    assert path[149] == 0.02
     assert path[-1] == 0.02
 
 
@@ -239,10 +251,10 @@ def test_a_lost_position_in_the_middle_of_a_move_ends_in_a_stand(kind, rig, made
     graph, task = made(kind, rig)
     axis, per_second = Axis(in_c(kind, rig), graph, task, STARTS[rig]), round(1.0 / task.control_period)
     axis.drive({}, 2)
-    axis.drive({"control": True, "reference": STARTS[rig] + 0.1}, per_second)
+    axis.drive({"control": True, "reference": STARTS[rig] + MOVES[rig]}, per_second)
     assert abs(axis.positions[-1] - axis.positions[-2]) / task.control_period > 0.03  # m/s
     lost = len(axis.positions)
-    last = axis.drive({"control": True, "reference": STARTS[rig] + 0.1, "valid_position": False}, per_second)
+    last = axis.drive({"control": True, "reference": STARTS[rig] + MOVES[rig], "valid_position": False}, per_second)
     assert last["state"] == HOLDING
     assert np.abs(np.array(axis.positions[lost:]) - axis.positions[lost]).max() < 5e-3
     assert np.abs(np.diff(axis.positions[-per_second // 10 :])).max() / task.control_period < 2e-3
