@@ -88,10 +88,10 @@ class Block:
         """Signals, state and observation of one sample; ``inputs`` by name, () each."""
         value, lost_signals = self._read(inputs, memory)
         complete = np.equal(lost_signals, 0)
-        more = np.where(np.less(memory.lost_samples, COUNTED), 1, 0)
+        more = np.where(memory.lost_samples < COUNTED, 1, 0)
         lost_samples = np.where(complete, 0, memory.lost_samples + more)
         asks_manual = inputs["manual"]
-        asks_control = np.logical_and(inputs["control"], np.logical_not(asks_manual))
+        asks_control = inputs["control"] & ~asks_manual
         new: dict[str, Any] = {
             "enabled": inputs["enable"],
             "asks_control": asks_control,
@@ -100,37 +100,37 @@ class Block:
             "last": {signal.name: value[signal.name] for signal in self.signals.signals},
             "lost_samples": lost_samples,
         }
-        resets = np.logical_and(inputs["reset"], np.logical_not(memory.asks_reset))
+        resets = inputs["reset"] & ~memory.asks_reset
         was = {state: named(f"was_{state.name.lower()}", np.equal(memory.state, int(state))) for state in State}
-        in_fault = np.logical_and(was[State.FAULT], np.logical_not(resets))
-        free = np.logical_and(inputs["enable"], np.logical_not(in_fault))
+        in_fault = was[State.FAULT] & ~resets
+        free = inputs["enable"] & ~in_fault
         # Nothing moves without a new request: one that stood when the block was enabled must be repeated.
-        new_manual = np.logical_and(memory.enabled, np.logical_not(memory.asks_manual))
-        manual = np.logical_and(free, np.logical_and(asks_manual, np.logical_or(was[State.MANUAL], new_manual)))
-        free = np.logical_and(free, np.logical_not(manual))
-        up = np.logical_or(was[State.READY], np.logical_or(was[State.CONTROLLING], was[State.MANUAL]))
-        stays_away = np.logical_and(was[State.HOLDING], np.logical_not(np.logical_and(resets, complete)))
-        too_long = np.logical_and(up, self._lost_too_long(lost_samples, inputs, memory))
-        holding = np.logical_and(free, np.logical_or(stays_away, too_long))
-        runs = np.logical_and(free, np.logical_and(np.logical_not(holding), np.logical_or(complete, up)))
-        new_control = np.logical_and(np.logical_and(up, complete), np.logical_not(memory.asks_control))
-        goes_on = np.logical_or(was[State.CONTROLLING], new_control)
-        may_control = np.logical_and(runs, np.logical_and(asks_control, goes_on))
-        begins = np.logical_and(may_control, np.logical_not(was[State.CONTROLLING]))
+        new_manual = memory.enabled & ~memory.asks_manual
+        manual = free & (asks_manual & (was[State.MANUAL] | new_manual))
+        free = free & ~manual
+        up = was[State.READY] | (was[State.CONTROLLING] | was[State.MANUAL])
+        stays_away = was[State.HOLDING] & ~(resets & complete)
+        too_long = up & self._lost_too_long(lost_samples, inputs, memory)
+        holding = free & (stays_away | too_long)
+        runs = free & (~holding & (complete | up))
+        new_control = up & complete & ~memory.asks_control
+        goes_on = was[State.CONTROLLING] | new_control
+        may_control = runs & (asks_control & goes_on)
+        begins = may_control & ~was[State.CONTROLLING]
 
-        new["seen"] = np.logical_or(complete, np.logical_and(memory.seen, up))
+        new["seen"] = complete | memory.seen & up
         self._add_speed(value, new, memory)
         self._reference.add(value, new, inputs, memory, begins)
         self._add_error(value, new, memory, begins)
         limit = inputs["error_limit"]
-        beyond = np.logical_and(limit > 0.0, np.absolute(value["tracking_error"]) > limit)
-        astray = np.logical_and(np.logical_and(may_control, np.logical_not(begins)), beyond)
-        controls = named("controls", np.logical_and(may_control, np.logical_not(astray)))
+        beyond = (limit > 0.0) & (np.absolute(value["tracking_error"]) > limit)
+        astray = may_control & ~begins & beyond
+        controls = named("controls", may_control & ~astray)
         rest = self._model.voltage_at_rest(value["position"], value.get("pressure_a"), value.get("pressure_b"))
         new["rest"] = np.where(complete, rest, memory.rest)
         state = np.where(controls, int(State.CONTROLLING), np.where(runs, int(State.READY), int(State.OFF)))
         state = np.where(manual, int(State.MANUAL), np.where(holding, int(State.HOLDING), state))
-        state = np.where(np.logical_or(in_fault, astray), int(State.FAULT), state)
+        state = np.where(in_fault | astray, int(State.FAULT), state)
         value["previous_command"] = named("previous_command_sample", memory.command / FULL_VOLTAGE)
         observation = self.signals.observation(value)
         return Sample(begins, controls, state, observation, value, complete, lost_signals, new["rest"], new)
@@ -144,10 +144,10 @@ class Block:
             if signal.sensor:
                 valid = inputs[f"valid_{signal.name}"]
                 reading = np.where(valid, given, last)  # nothing is compared with a signal that is not valid
-                inside = np.logical_and(np.less_equal(lowest, reading), np.less_equal(reading, highest))
-                present = np.logical_and(valid, inside)
+                inside = (lowest <= reading) & (reading <= highest)
+                present = valid & inside
             else:
-                present = np.logical_and(np.less_equal(lowest, given), np.less_equal(given, highest))
+                present = (lowest <= given) & (given <= highest)
             present = named(f"{signal.name}_present", present)
             value[signal.name] = named(f"{signal.name}_sample", np.where(present, given, last))
             lost_signals = lost_signals + np.where(present, 0, 1 << place)
@@ -155,10 +155,10 @@ class Block:
 
     def _lost_too_long(self, lost_samples: Any, inputs: Mapping[str, Any], memory: BlockMemory) -> Any:
         lost_travel = (lost_samples - 1) * (self._period * self._speed_per_volt) * np.absolute(memory.command)
-        beyond_own = np.logical_or(lost_travel > LOST_TRAVEL, lost_samples * self._period > LOST_TIME)
+        beyond_own = (lost_travel > LOST_TRAVEL) | (lost_samples * self._period > LOST_TIME)
         limit = inputs["lost_limit"]
         beyond_given = lost_samples > limit
-        return np.logical_or(np.logical_and(limit > 0, beyond_given), np.logical_and(limit <= 0, beyond_own))
+        return (limit > 0) & beyond_given | (limit <= 0) & beyond_own
 
     def _add_speed(self, value: dict[str, Any], new: dict[str, Any], memory: BlockMemory) -> None:
         rate = (value["position"] - memory.last["position"]) / self._period
@@ -173,7 +173,7 @@ class Block:
         if integral is not None:
             integral = integral + self._period * (error - integral / self._integral_time)
             integral = np.clip(integral, -self._integral_limit, self._integral_limit)
-            goes_on = np.logical_and(np.equal(memory.state, int(State.CONTROLLING)), np.logical_not(begins))
+            goes_on = np.equal(memory.state, int(State.CONTROLLING)) & ~begins
             integral = named("error_integral_sample", np.where(goes_on, integral, 0.0))
             value["error_integral"] = new["error_integral"] = integral
 
@@ -217,12 +217,12 @@ class Block:
         ``wanted``: V, of the controller if it controls; ``refused``: whether a gain is out of its range.
         """
         usable = np.absolute(wanted) <= FULL_VOLTAGE  # not for what is not a number
-        failed = np.logical_and(sample.controls, np.logical_not(usable))
+        failed = sample.controls & ~usable
         state = np.where(failed, int(State.FAULT), sample.state)
         is_now = {one: named(f"is_{one.name.lower()}", np.equal(state, int(one))) for one in State}
         by_hand = inputs["manual_command"]
         by_hand = np.where(np.absolute(by_hand) <= 1e3 * FULL_VOLTAGE, by_hand, 0.0)
-        rests = np.logical_or(is_now[State.READY], is_now[State.HOLDING])
+        rests = is_now[State.READY] | is_now[State.HOLDING]
         target = np.where(is_now[State.MANUAL], by_hand, np.where(rests, sample.rest, 0.0))
         target = np.where(is_now[State.CONTROLLING], wanted, target)
         limit = _output_limit(inputs)
@@ -234,7 +234,7 @@ class Block:
         command = np.where(np.absolute(change) <= largest_step, target, stepped)
         reason = np.where(failed, int(FaultCode.NOT_A_NUMBER), int(FaultCode.FOLLOWING_ERROR))
         reason = np.where(np.equal(memory.state, int(State.FAULT)), memory.fault_code, reason)
-        lost = np.logical_or(is_now[State.HOLDING], np.logical_not(sample.complete))
+        lost = is_now[State.HOLDING] | ~sample.complete
         warning = np.where(refused, int(FaultCode.REFUSED_GAIN), int(FaultCode.NONE))
         fault_code = np.where(lost, int(FaultCode.LOST_SIGNAL), warning)
         fault_code = np.where(is_now[State.FAULT], reason, fault_code)

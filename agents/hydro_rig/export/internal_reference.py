@@ -48,7 +48,7 @@ class InternalReference:
         if later:
             first = min(later, key=lambda signal: signal.ahead)
             given_speed = (value[first.name] - value["reference"]) / (first.ahead * period)
-            is_speed = np.logical_and(follows, np.absolute(given_speed) <= self._jump)
+            is_speed = follows & (np.absolute(given_speed) <= self._jump)
             speed = speed - np.where(is_speed, given_speed, 0.0)
         start = value["position"] - np.where(follows, value["reference"], 0.0)
         target = np.where(follows, 0.0, value["reference"])
@@ -76,8 +76,8 @@ class InternalReference:
     def _arrives(self, gap: Any, speed: Any, largest_speed: Any, acceleration: Any) -> Any:
         """Whether a point with a speed can be at its target one period later, and at rest another one later."""
         change, needed = acceleration * self._period, gap / self._period
-        slow = np.logical_and(np.absolute(needed) <= change, np.absolute(needed) <= largest_speed)
-        return np.logical_and(slow, np.absolute(needed - speed) <= change)
+        slow = (np.absolute(needed) <= change) & (np.absolute(needed) <= largest_speed)
+        return slow & (np.absolute(needed - speed) <= change)
 
     def _step_towards(
         self, target: Any, place: Any, speed: Any, largest_speed: Any, acceleration: Any

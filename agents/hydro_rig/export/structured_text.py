@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydro_env import __version__
-from hydro_rig.export.c_files import render
+from hydro_rig.export.c_files import TEMPLATES, render
 from hydro_rig.export.c_writer import Language, Writer, declaration
 from hydro_rig.export.controller import GAINS, ControllerGraph, field, written_step
 from hydro_rig.export.graph import KINDS
@@ -25,21 +25,8 @@ OPERATIONS = {
     "tanh": "1.0 - 2.0 / (EXP(2.0 * LIMIT(-20.0, {a}, 20.0)) + 1.0)",
     "arcsinh": "SEL({0} < 0.0, 1.0, -1.0) * LN(ABS({a}) + SQRT({0} * {0} + 1.0))",
 }  # fmt: skip
-RESERVED = frozenset((
-    "abs", "acos", "action", "add", "any", "array", "asin", "at", "atan", "bool", "by", "byte", "case",
-    "configuration", "constant", "cos", "d", "dint", "div", "do", "dword", "elsif", "exit", "exp", "expt", "false",
-    "function", "i", "int", "j", "jmp", "k", "le", "limit", "lint", "ln", "log", "lreal", "lword", "max", "min",
-    "mod", "mul", "mux", "n", "ne", "of", "on", "program", "r", "read", "real", "repeat", "resource", "retain", "rol",
-    "ror", "s", "sel", "shl", "shr", "sin", "sint", "sqrt", "step", "string", "sub", "t", "tan", "task", "then",
-    "time", "to", "transition", "true", "type", "udint", "uint", "until", "usint", "value", "var", "word", "write",
-    "xor", "abstract", "extends", "final", "implements", "interface", "internal", "method", "persistent", "pointer",
-    "private", "property", "protected", "public", "reference", "super", "this", "union",
-    # Function blocks of the standard and functions: some compilers take no variable of their names.
-    "integral", "derivative", "pid", "ramp", "hysteresis", "delay", "average", "stack_int", "rtc", "sema", "sr", "rs",
-    "r_trig", "f_trig", "ctu", "ctd", "ctud", "tp", "ton", "tof", "trunc", "move", "concat", "insert", "delete",
-    "replace", "find", "left", "right", "len", "mid", "gt", "ge", "eq", "lt", "not", "and", "or", "sign", "en", "eno",
-))  # fmt: skip
-"""Words of the language that a variable of Python may have as its name, and the indices of loops."""
+RESERVED = frozenset((TEMPLATES / "reserved_words.txt").read_text(encoding="utf-8").split())
+"""Words of the language, its standard functions and blocks, and of C; indices of loops. No variable has such a name."""
 
 ASCII = {"±": "+/-", "…": "...", "−": "-", "→": "->", "²": "2", "°": "deg", "√": "root of "}
 
