@@ -13,8 +13,6 @@ from hydro_rig.export.c_files import c_number
 from hydro_rig.export.graph import KINDS, Graph, Node
 
 LONGEST = 120  # characters of the longest number that is written into the statement of another one
-LARGEST_TABLE = 500  # numbers of a factor that are a table where the language wants variables first
-TERMS = 8  # per line of a product without such a table
 
 
 class Language(NamedTuple):
@@ -248,8 +246,6 @@ class Writer:
             term = _beside(self.element(node.operands[0], _mixed(digits)))
         else:
             left, right = node.operands
-            if self.language.declares_first and right.table is not None and right.size > LARGEST_TABLE:
-                return [*self._declaration(node, name), *self._written_out(node, name)]
             term = f"{_beside(self.element(left, _mixed((k, i))))} * {_beside(self.element(right, _mixed((i, j))))}"
         into = name if node.size == 1 else f"{name}[{_mixed((k, j))}]"
         statement = self.language.assign.format(into, f"{into} + {term}")
@@ -260,27 +256,6 @@ class Writer:
         if node.size > 1:
             begin = self._loop("i", node.size, begin)
         return [*self._declaration(node, name), begin, statement]
-
-    def _written_out(self, node: Node, name: str) -> list[str]:
-        """A product with a large constant, number by number: a table would be part of each instance.
-
-        The sums have the order of those in the loops.
-        """
-        left, right = node.operands
-        rows, inner, columns = node.sizes
-        assert right.table is not None
-        lines = []
-        for element in range(rows * columns):
-            target = name if node.size == 1 else f"{name}[{element}]"
-            for first in range(0, inner, TERMS):
-                text = target if first else ""
-                for i in range(first, min(first + TERMS, inner)):
-                    factor = right.table[i * columns + element % columns]
-                    number = self.language.number(abs(factor))
-                    sign = "-" if factor < 0 else "+" if text else ""
-                    text += f" {sign} {number} * {self.element(left, element // columns * inner + i)}"
-                lines.append(self.language.assign.format(target, text.strip()))
-        return lines
 
     def _loop(self, index: str, count: int, statement: str) -> str:
         return self.language.loop.format(index, count, statement, count - 1)
