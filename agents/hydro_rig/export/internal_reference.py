@@ -16,6 +16,8 @@ from hydro_rig.export.tracing import named
 SPEED_SHARE = 0.5  # of the lower full speed: the usual speed with which the axis joins its reference
 ACCELERATING = 35.0  # periods of the oscillation / 2π in which it reaches this speed
 
+LARGEST = 1e9  # m/s, m/s²: no limit
+
 
 class InternalReference:
     """An own motion to a target, or what is added to a given motion until both are one.
@@ -69,7 +71,7 @@ class InternalReference:
             value[name] = named(f"{name}_sample", preview)
 
     def _limits(self, inputs: Mapping[str, Any]) -> tuple[Any, Any]:
-        speed, acceleration = inputs["max_speed"], inputs["max_acceleration"]
+        speed, acceleration = (np.minimum(inputs[name], LARGEST) for name in ("max_speed", "max_acceleration"))
         largest_speed = np.where(speed > 0.0, speed, self.max_speed)
         return largest_speed, np.where(acceleration > 0.0, acceleration, self.max_acceleration)
 
