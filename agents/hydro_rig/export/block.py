@@ -75,7 +75,7 @@ class Block:
         self._model, self._speed_per_volt = FlowModel(plant), max(speed_limits(plant)) / FULL_VOLTAGE
         self._reference = InternalReference(signals)
         features = getattr(controller, "features", None)
-        self.base = features.base if features is not None else controller
+        self.base: Any = features.base if features is not None else controller
         """The controller that a policy corrects, or the controller itself; ``None`` for a policy that acts alone."""
         self.corrects = features is not None and features.base is not None
         self.estimates: tuple[str, ...] = getattr(self.base, "estimate_names", ())
@@ -269,7 +269,9 @@ class Block:
 
         ``refused``: whether a gain was out of its range.
         """
-        given = {row.name: np.asarray(inputs.get(row.name, row.default), row.kind) for row in self.inputs}
+        given: dict[str, Any] = {
+            row.name: np.asarray(inputs.get(row.name, row.default), row.kind) for row in self.inputs
+        }
         memory = memory if memory is not None else self.empty()
         with np.errstate(all="ignore"):
             sample = self.before(given, memory)

@@ -37,7 +37,8 @@ class CCode:
 def c_code(name: str, values: Mapping[str, Any], template: str = "") -> CCode:
     """The templates ``NAME.h.j2`` and ``NAME.c.j2`` with values; ``template`` if it has another name than the code."""
     template = template or name
-    return CCode(name, *(render(f"{template}.{kind}.j2", values) for kind in ("h", "c")), template)
+    header, source = (render(f"{template}.{kind}.j2", values) for kind in ("h", "c"))
+    return CCode(name, header, source, template)
 
 
 def render(template: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> str:

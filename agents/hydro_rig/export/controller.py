@@ -121,7 +121,7 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
         outputs |= {OUTPUT + name: value for name, value in found.items()}
         return outputs | leaves_of(new_memory)
 
-    given = {row.name: np.array(row.default, row.kind) for row in block.inputs}
+    given: dict[str, Any] = {row.name: np.array(row.default, row.kind) for row in block.inputs}
     given |= {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
     given |= {ANSWER + name: np.zeros(()) for name in block.answers}
     graph = trace(step, {**given, **leaves_of(empty)})

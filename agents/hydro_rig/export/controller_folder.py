@@ -284,11 +284,12 @@ def check_onnx(model: bytes, graph: ControllerGraph, vectors: Vectors) -> str:
     names = [output.name for output in session.get_outputs()]
     differences, same = [], True
     kinds = {row.name: row.kind for row in graph.inputs}
+    memory = np.zeros(size)
     for start, given, expected in zip(*vectors, strict=True):
-        state = np.zeros(size) if start else state  # noqa: F821 - the first sample is a start
-        values = {name: np.array([value], kinds[name]) for name, value in given.items()}
-        found = dict(zip(names, session.run(None, {**values, "memory": state}), strict=True))
-        state = found["next_memory"]
+        memory = np.zeros(size) if start else memory
+        values: dict[str, Any] = {name: np.array([value], kinds[name]) for name, value in given.items()}
+        found = dict(zip(names, session.run(None, {**values, "memory": memory}), strict=True))
+        memory = found["next_memory"]
         differences.append(abs(float(found["command"][0]) - expected["command"]) / FULL_VOLTAGE)
         same = same and all(int(found[name][0]) == expected[name] for name in COMPARED[1:])
     largest = float(np.max(differences))

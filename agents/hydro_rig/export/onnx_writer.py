@@ -218,8 +218,9 @@ def controller_model(controller: ControllerGraph) -> Any:
     pieces = [writer.cast(writer.tensor(new[part.name]), part.kind, DOUBLE, f"next.{part.name}") for part in parts]
     outputs = {"next_memory": (writer.add("Concat", pieces, "joined_memory", axis=0), size, DOUBLE)}
     for name in controller.outputs:
-        node = shared.get(OUTPUT + name)
-        tensor = writer.given[ANSWER + name] if node is None else writer.tensor(node)
-        outputs[name] = (tensor, 1, DOUBLE if node is None else node.kind)
+        if OUTPUT + name in shared:
+            outputs[name] = (writer.tensor(shared[OUTPUT + name]), 1, shared[OUTPUT + name].kind)
+        else:
+            outputs[name] = (writer.given[ANSWER + name], 1, DOUBLE)
     facts = {"sample_time": repr(controller.signals.config.control_period)}
     return writer.model(outputs, controller.title, facts)
