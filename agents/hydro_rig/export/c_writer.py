@@ -144,7 +144,7 @@ class Writer:
     def _table(self, node: Node) -> str:
         assert node.table is not None
         name = self._new_name(self.prefix + ("constant_table" if node.name == "constant" else node.name))
-        numbers = [self.language.number(value) for value in node.table]
+        numbers = [self.language.number(value).removeprefix("REAL#") for value in node.table]  # the array has the type
         rows = [", ".join(numbers[first : first + 8]) for first in range(0, len(numbers), 8)]
         kind, size = self.language.types[node.kind], node.size
         self.tables.append(self.language.table.format(kind, name, size, size - 1, ",\n    ".join(rows)))
