@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import re
@@ -87,18 +88,23 @@ def validate(model: type[ModelType], values: Any, source: str, within: str = "")
         raise described(model, error, values, source, within) from None
 
 
+def encoding_of(content: bytes) -> str:
+    """UTF-16 where a text begins with its mark, as PowerShell writes it; otherwise UTF-8."""
+    return "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+
+
 def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
-    """Read a UTF-8 text of at most ``largest`` bytes.
+    """Read a text in UTF-8 or marked UTF-16 of at most ``largest`` bytes.
 
     Raises:
-        ConfigurationError: the file is missing, unreadable, too large, or not in UTF-8.
+        ConfigurationError: the file is missing, unreadable, too large, or in another encoding.
     """
     try:
         with open(path, "rb") as file:
             content = file.read(largest + 1)
         if len(content) > largest:
             raise ConfigurationError(f"{path}: is larger than {largest / 1e6:g} MB")
-        return content.decode("utf-8-sig")
+        return content.decode(encoding_of(content))
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -28,7 +28,7 @@ _HEADING = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\[\]()]*)[\])])?\s*")
 _PARTS = {"V": 1.0 / FULL_VOLTAGE, "%": 1e-2, "1": 1.0, "-": 1.0, "mV": 1e-3 / FULL_VOLTAGE}
 
 UNITS: dict[str, dict[str, float]] = {
-    "time": QUANTITIES["s"],
+    "time": QUANTITIES["s"] | {"d": 86400.0},
     "position": QUANTITIES["m"],
     "pressure_a": QUANTITIES["Pa"],
     "pressure_b": QUANTITIES["Pa"],
@@ -226,5 +226,10 @@ def unit_of(column: Column, signal: str, heading: str, source: str) -> tuple[str
         raise ConfigurationError(
             f"{source}: {signal}: column '{heading[:40]}' has no unit; write it in the heading, "
             f"{signal} [{next(iter(UNITS[signal]))}], or in the map"
+        )
+    if unit == "mA":
+        raise ConfigurationError(
+            f"{source}: {signal}: column '{heading[:40]}' is a current; give unit, gain and offset in the map, as in "
+            "'{column: 3, unit: bar, gain: 15.625, offset: -62.5}' for 4 to 20 mA of a sensor of 0 to 250 bar"
         )
     return unit, factor(signal, unit, f"{source}: {signal}")

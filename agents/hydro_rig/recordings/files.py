@@ -1,11 +1,14 @@
-"""Files of measuring programs as columns: CSV, Parquet and MAT.
+"""Files of measuring programs as columns: CSV, Parquet and MAT, packed or not.
 
-A struct of a MAT file that holds a time has its own time stamps, which are kept. :func:`together` brings the chosen
-channels to the stamps of the command, and reports it as a finding.
+A struct of a MAT file that holds a time has its own time stamps, and so has a tag of a historian's long table; they are
+kept. :func:`together` brings the chosen channels to the stamps of the command, and reports it as a finding.
 """
 
 from __future__ import annotations
 
+import gzip
+import io
+import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +21,9 @@ import scipy.io
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 from hydro_env.types import Floats
+from hydro_rig.recordings.columns import split_heading
 from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.stamps import time_stamps, with_whole_stamps
 from hydro_rig.recordings.text_tables import text_table
 
 LARGEST_RECORDING = 1_000_000_000  # largest size in bytes; about twenty hours at 200 rows per second as CSV
@@ -31,9 +36,22 @@ AS_FAST = 1.5  # longest usual distance of a channel's stamps for interpolation,
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
 CONVERSIONS = {
     ".mf4": "asammdf.MDF('run.mf4').to_dataframe(raster='NAME OF THE COMMAND')",
+    ".xlsx": "pandas.read_excel('run.xlsx')",
     ".tdms": "nptdms.TdmsFile.read('run.tdms')['GROUP'].as_dataframe(time_index=True).rename_axis('time')",
 }
 """Python that makes a table of a file of another kind, by the end of its name."""
+
+ENDINGS = (".csv", ".txt", ".tsv", ".lvm", ".parquet", ".mat", ".gz", ".zip")  # of the names of recordings
+LONG = {
+    "tag": ("tag", "tagname", "tag name", "name", "point", "varname", "variable", "signal", "channel"),
+    "time": ("time", "timestamp", "timestring", "datetime", "date/time"),
+    "value": ("value", "varvalue"),
+    "quality": ("quality", "status", "validity"),
+}
+"""Headings of a long table, with a row per reading of any tag, in lower case; the quality may be absent."""
+
+GOOD = {"good", "ok", "valid", "true", "1", *map(str, range(192, 220))}
+"""Qualities of good readings, in lower case: words, WinCC's 1, and those of OPC."""
 
 TIMES = ("time", "t", "zeit", "timestamps")
 CONTENTS = ("values", "value", "data", "signals", "signal")
@@ -52,7 +70,7 @@ class Columns(NamedTuple):
 
 
 def read_columns(path: Path) -> Columns:
-    """Read a file; the end of its name gives its kind: .parquet, .mat, otherwise CSV.
+    """Read a file; the end of its name gives its kind: .parquet, .mat, otherwise CSV; .gz and .zip are unpacked.
 
     Raises:
         ConfigurationError: the file is unreadable, too large or not a table, or its library is not installed.
@@ -61,22 +79,46 @@ def read_columns(path: Path) -> Columns:
         size = path.stat().st_size
     except (OSError, ValueError):  # the reader says why
         size = 0
+    kind, content = path.suffix.lower(), None
+    if kind in (".gz", ".zip"):
+        with library_errors(path):
+            kind, content = unpacked(path)
+        size = len(content or b"")
     if size > LARGEST_RECORDING:
         raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; cut it into several files")
-    kind = path.suffix.lower()
+    file = path if content is None else io.BytesIO(content)
     if kind == ".parquet":
         with library_errors(path):
-            columns = of_table(pd.read_parquet(path, partitioning=None))
+            columns = of_table(pd.read_parquet(file, partitioning=None))
     elif kind == ".mat":
         with library_errors(path):
-            columns = read_mat(path)
+            columns = read_mat(file)
     elif kind in CONVERSIONS:
         raise ConfigurationError(f"{path}: convert the file first: {CONVERSIONS[kind]}.to_parquet('run.parquet')")
     else:
-        columns = of_table(*text_table(path))
+        table, first_line = text_table(path, content)
+        with library_errors(path):
+            columns = of_table(table, first_line)
     if not columns.cells or not max(map(len, columns.cells)):
         raise ConfigurationError(f"{path}: holds {'headings but no rows' if columns.first_line else 'no numbers'}")
     return columns
+
+
+def unpacked(path: Path) -> tuple[str, bytes]:
+    """End of the name of the file in an archive, and what it holds, up to a byte more than is allowed.
+
+    Raises:
+        ValueError: the archive holds several files.
+    """
+    if path.suffix.lower() == ".gz":
+        with gzip.open(path) as file:
+            return Path(path.stem).suffix.lower(), file.read(LARGEST_RECORDING + 1)
+    with zipfile.ZipFile(path) as archive:
+        names = [name for name in archive.namelist() if not name.endswith("/")]
+        if len(names) != 1:
+            raise ValueError(f"it holds {len(names)} files; unpack it")
+        with archive.open(names[0]) as file:
+            return Path(names[0]).suffix.lower(), file.read(LARGEST_RECORDING + 1)
 
 
 @contextmanager
@@ -113,7 +155,7 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
     findings: list[Finding] = []
     if base is None:
         return cells, findings
-    if columns.headings[places["time"]] == TIME_HEADING:
+    if places["time"] == 0:  # that of the channel with the most stamps
         cells["time"] = pd.Series(base)
     for signal, place in places.items():
         own = columns.stamps[place]
@@ -167,21 +209,56 @@ def placed(time: Floats, own: Floats, values: Floats, farthest: float) -> Floats
 
 
 def of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
-    """The columns of a table; an index with a name is one of them."""
-    table = table.reset_index() if table.index.name is not None else table
+    """The columns of a table; an index with a name is one of them, and one without is the time if it is no number."""
+    if table.index.name is not None or table.index.dtype.kind in "fmM":
+        table = table.rename_axis(table.index.name or "time").reset_index()
+    table = with_whole_stamps(table)
     headings = [str(name) for name in table.columns]
+    names = [split_heading(heading)[0].lower() for heading in headings]
+    found = {part: k for part, known in LONG.items() for k, name in enumerate(names) if name in known}
+    if {"tag", "time", "value"} <= found.keys() and len(table):
+        return _of_channels(_channels_of_tags(table, found), headings[found["time"]])
     return Columns(headings, [table.iloc[:, k] for k in range(len(headings))], [None] * len(headings), first_line)
 
 
-def read_mat(path: Path) -> Columns:
-    """Vectors and structs of a MAT file of version 5 to 7 (7.3 is another format); a time comes first."""
+def _channels_of_tags(table: pd.DataFrame, places: Mapping[str, int]) -> list[_Channel]:
+    """The readings of each tag of a long table; those of bad quality are missing.
+
+    Raises:
+        ValueError: no reading is good.
+    """
+    stamps, begin = time_stamps(table.iloc[:, places["time"]])
+    time = numbers_of(table.iloc[:, places["time"]]) if stamps is None else begin + stamps
+    values = numbers_of(table.iloc[:, places["value"]])
+    if "quality" in places:
+        quality = table.iloc[:, places["quality"]].astype(str).str.strip().str.lower().str.removesuffix(".0")
+        good = quality.isin(GOOD).to_numpy()
+        if not good.any():
+            heading = table.columns[places["quality"]]
+            raise ValueError(f"no reading is good: '{heading}' holds '{quality.iloc[0][:20]}'; leave it out if it is")
+        values[~good] = np.nan
+    tags = table.iloc[:, places["tag"]].astype(str).str.strip()
+    return [(str(tag), values[rows], time[rows]) for tag, rows in tags.groupby(tags, sort=False).indices.items()]
+
+
+def read_mat(file: Path | io.BytesIO) -> Columns:
+    """Vectors, matrices and structs of a MAT file of version 5 to 7 (7.3 is another format); a time comes first."""
     channels: list[_Channel] = []
-    for name, value in scipy.io.loadmat(path, simplify_cells=True).items():
+    try:
+        content = scipy.io.loadmat(file, simplify_cells=True)
+    except NotImplementedError as error:
+        raise ValueError(f"{error}; in MATLAB: save('run.mat', '-v7')") from None
+    for name, value in content.items():
         if not name.startswith("__"):
             channels += _channels_of(name, value)
+    return _of_channels(channels, TIME_HEADING)
+
+
+def _of_channels(channels: list[_Channel], time_heading: str) -> Columns:
+    """The columns of channels; the longest stamps come first."""
     longest = max((stamps for _, _, stamps in channels if stamps is not None), key=len, default=None)
     if longest is not None:
-        channels.insert(0, (TIME_HEADING, longest, None))
+        channels.insert(0, (time_heading, longest, None))
     columns = Columns([], [], [], 0)
     for heading, values, stamps in channels:
         columns.headings.append(heading)
@@ -191,7 +268,7 @@ def read_mat(path: Path) -> Columns:
 
 
 def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str = "") -> Iterator[_Channel]:
-    """The channels in a variable of a MAT file: a vector, or a struct of vectors, of structs, or of a list of them."""
+    """The channels in a variable of a MAT file: numbers, or a struct of them, of structs, or of a list of them."""
     if isinstance(value, list):
         for number, part in enumerate(value, 1):
             label = part.get("label") if isinstance(part, dict) else None
@@ -199,7 +276,12 @@ def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str 
         return
     if not isinstance(value, dict):
         values = _vector(value)
-        if values is not None and (stamps is None or len(values) == len(stamps)):
+        if values is None and isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "iuf":
+            if stamps is None and value.shape[0] < value.shape[1] and (np.diff(value[0]) > 0.0).all():
+                stamps, value = value[0].astype(np.float64), value[1:].T  # To File has the time in the first row
+            for number, column in enumerate(value.T, 1):
+                yield from _channels_of(f"{name}.{number}", column, stamps, unit)
+        elif values is not None and (stamps is None or len(values) == len(stamps)):
             yield f"{name} [{unit}]" if unit else name, values, stamps
         return
     for key, part in value.items():

@@ -16,6 +16,7 @@ from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own
 from hydro_rig.recordings.files import Columns, numbers_of, read_columns, together
 from hydro_rig.recordings.findings import Finding, Weight, missing_weight, severe_if
 from hydro_rig.recordings.row_distance import Spacing, spacing_of
+from hydro_rig.recordings.stamps import DAY, EXCEL_BEGIN, are_excel_days, time_stamps
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
 FEWEST_ROWS = 3
@@ -50,11 +51,11 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     """Read a recording.
 
     CSV: the headings stand above the numbers, with units in them or in the line below; what stands before is skipped.
-    Semicolons or tabs, which allow decimal commas, or commas separate the columns. The end of the name identifies
-    Parquet, MDF4, TDMS and MAT files (:mod:`hydro_rig.recordings.files`).
+    Semicolons, tabs, commas or spaces separate the columns. The end of the name identifies packed, Parquet, MDF4, TDMS
+    and MAT files (:mod:`hydro_rig.recordings.files`).
 
     Args:
-        path: the file; text in UTF-8 or Windows-1252.
+        path: the file; text in UTF-8, UTF-16 or Windows-1252.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
 
     Raises:
@@ -104,7 +105,7 @@ def _values_of(
     rows = len(cells["command"])
     units: dict[str, str] = {}
     values: dict[str, Floats] = {}
-    dates, begin = _time_stamps(cells["time"])
+    dates, begin = time_stamps(cells["time"])
     for signal, column in chosen.items():
         heading, own = file.headings[places[signal]], cells[signal]
         if len(own) != rows:
@@ -117,6 +118,10 @@ def _values_of(
             continue
         numbers = _numbers(own, signal, file.first_line, findings)
         units[signal], size = unit_of(column, signal, heading, source)
+        days = signal == "time" and (units[signal] == "d" or column.unit is None) and are_excel_days(numbers)
+        if days:
+            units[signal], size, begin = "d", DAY, EXCEL_BEGIN
+            findings.append(Finding(signal, "is read as days, as Excel counts them", Weight.NOTE))
         found = size * (column.gain * numbers + column.offset)
         values[signal] = np.where(np.isfinite(found), found, np.nan)
     return values, units, begin, findings
@@ -127,8 +132,9 @@ def _time_of(time: Floats, equidistant: bool | float, source: str) -> tuple[Floa
     known = np.isfinite(time)
     if known.sum() < FEWEST_ROWS and isinstance(equidistant, bool):
         raise ConfigurationError(
-            f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp; allowed are numbers, 2026-03-01T08:00:00.005 "
-            "and 01.03.2026 08:00:00,005"
+            f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp; allowed are numbers, 2026-03-01T08:00:00.005, "
+            "01.03.2026 08:00:00,005, 01-Mar-2026 08:00:00.005 and 3/1/2026 8:00:00.005 AM; rows at equal distances "
+            "need none, with 'equidistant: 5 ms' for the time in the map"
         )
     if equidistant is False:
         return time, None
@@ -153,22 +159,3 @@ def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Find
         what = f"has {len(text)} cells that are not numbers, the first one {example!r} in {place}"
         findings.append(Finding(signal, what, missing_weight(signal, share), share=share))
     return values
-
-
-def _time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
-    """Seconds since the first date and time, and its own since 1970; ``None`` if the cells are numbers or other text.
-
-    ``2026-03-01T08:00:00.005`` (ISO 8601) and ``01.03.2026 08:00:00,005`` (day, month, year) are understood.
-    """
-    if pd.api.types.is_numeric_dtype(cells):
-        return None, 0.0
-    stamps = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
-    if stamps.isna().mean() > 0.5:
-        texts = cells.astype(str).str.strip().str.replace(",", ".")
-        texts = texts.where(texts.str.count(r"\.") == 3, texts + ".0")  # two in the date, one before parts of a second
-        stamps = pd.to_datetime(texts, errors="coerce", utc=True, format="%d.%m.%Y %H:%M:%S.%f")
-    if stamps.isna().mean() > 0.5:
-        return None, 0.0
-    first = stamps.dropna().iloc[0]
-    seconds: Floats = (stamps - first).dt.total_seconds().to_numpy(dtype=np.float64).copy()
-    return seconds, float(first.timestamp())

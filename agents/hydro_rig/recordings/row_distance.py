@@ -77,10 +77,11 @@ def whole_fraction(distance: float, period: float) -> int:
 def other_sampling(distance: float, period: float, unit: str) -> Finding:
     """The finding that the row distance does not fit the control period, with a unit of time that would fit."""
     units = UNITS["time"]
-    fitting = [name for name in units if 1 <= whole_fraction(distance * units[name] / units[unit], period) <= 100]
+    rows = {name: whole_fraction(distance * units[name] / units[unit], period) for name in units}
+    fitting = [name for name in units if 1 <= rows[name] <= 100]
     what = f"has one row every {1e3 * distance:.4g} ms, but the rig's control period is {1e3 * period:g} ms"
     if fitting:
-        what += f"; stamps in {fitting[0]} instead of {unit} would fit"
+        what += f"; stamps in {min(fitting, key=rows.__getitem__)} instead of {unit} would fit"
     else:
         what += ": the commands between the rows are unknown; record faster, or give the --task of this rig"
     return Finding("time", what, Weight.SEVERE)

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
+import io
 import re
 import warnings
+from collections import Counter
 from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import pandas as pd
 
 from hydro_env import ConfigurationError
+from hydro_env.files import encoding_of
 from hydro_rig.recordings.columns import UNITS, split_heading
 
 OTHER_ENCODING = "cp1252"  # of texts that are not UTF-8: that of Western Windows programs
 BEGINNING = 200_000  # bytes, in which the headings stand
-MOST_LINES = 200  # in which the headings must stand
+MOST_LINES = 400  # in the first half of which the headings must stand; and so many show how numbers are written
 SPACES = r"\s+"  # any number of spaces between two columns
-_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
+HEADER_END = "***End_of_Header***"  # closes each header of LabVIEW's .lvm
+_NUMBER = re.compile(
+    r"[+-]?(?:[1-9]\d{0,2}(?:(?P<group>[., '])\d{3})(?:(?P=group)\d{3})*|\d+|(?=[.,]\d))(?:(?P<mark>[.,])\d*)?"
+    r"(?:[eE][+-]?\d+)?",
+    re.ASCII,
+)
 _UNITS = {unit for units in UNITS.values() for unit in units} - {"1", "-"}
 
 
@@ -28,19 +38,27 @@ class Layout(NamedTuple):
     headings: list[str]
     separator: str
     decimal: str  # mark of its numbers
+    thousands: str | None  # mark between them
     first_line: int  # line of the first row, from 1
 
 
-def text_table(path: Path) -> tuple[pd.DataFrame, int]:
+def text_table(path: Path, content: bytes | None = None) -> tuple[pd.DataFrame, int]:
     """The rows of a table with their headings, and the line of the first.
+
+    Args:
+        path: the file.
+        content: what it holds, unpacked; ``None``: itself.
 
     Raises:
         ConfigurationError: the file cannot be read, or is not a table.
     """
-    encoding, text = _beginning(path)
     try:
-        layout = layout_of(text)
-        table = pd.DataFrame() if layout is None else _rows(path, encoding, layout)
+        with open(path, "rb") if content is None else io.BytesIO(content) as file:
+            encoding, text = _beginning(file)
+            layout = layout_of(text)
+            table = pd.DataFrame() if layout is None else _rows(file, encoding, layout)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     except pd.errors.ParserWarning:
         raise ConfigurationError(f"{path}: rows have more columns than the line of headings") from None
     except csv.Error:
@@ -52,15 +70,20 @@ def text_table(path: Path) -> tuple[pd.DataFrame, int]:
     return table.set_axis(layout.headings, axis=1), layout.first_line
 
 
-def _rows(path: Path, encoding: str, layout: Layout) -> pd.DataFrame:
-    with open(path, encoding=encoding, errors="replace", newline="\n") as file, warnings.catch_warnings():
+def _rows(file: IO[bytes], encoding: str, layout: Layout) -> pd.DataFrame:
+    file.seek(0)
+    with (
+        io.TextIOWrapper(file, encoding, errors="replace", newline="\n") as lines,
+        warnings.catch_warnings(),
+    ):
         warnings.simplefilter("error", pd.errors.ParserWarning)
         for _ in range(layout.first_line - 1):
-            file.readline()
+            lines.readline()
         return pd.read_csv(
-            file,
+            lines,
             sep=layout.separator,
             decimal=layout.decimal,
+            thousands=layout.thousands,
             header=None,
             names=range(len(layout.headings)),
             index_col=False,
@@ -72,35 +95,45 @@ def _rows(path: Path, encoding: str, layout: Layout) -> pd.DataFrame:
 def layout_of(text: str) -> Layout | None:
     """Headings and first row of a table, from the beginning of its file; ``None``: it holds no line.
 
-    The headings are the first line that has as many cells as most lines, more than half of them filled and none a
-    number; without such a line, the first one. If the line below holds units, each heading gets its own: ``P_A [bar]``.
-    What stands before the headings, empty lines and lines that begin with ``#`` or ``%`` are skipped; without headings,
-    the last comment above the numbers counts if it has as many cells. Spaces separate columns where nothing else does.
+    The headings stand above a row with numbers; they have as many cells as most lines of the later half, more than half
+    of them filled and none a number. Without such a line, the first one counts. A line of units, below the headings or
+    in the header of LabVIEW, gives each heading its own: ``P_A [bar]``. What stands before the headings, empty lines
+    and lines that begin with ``#`` or ``%`` are skipped; without headings, the last comment above the numbers counts if
+    it has as many cells. Spaces separate columns where nothing else does.
 
     Raises:
         csv.Error: a line is too long for a table.
         ValueError: the line above the numbers has another number of cells.
     """
     lines = text.split("\n")
-    used = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)][:MOST_LINES]
+    header = max((k + 1 for k, line in enumerate(lines) if line.startswith(HEADER_END)), default=0)
+    filled = [k for k in range(header, len(lines)) if lines[k].strip() and not _is_comment(lines[k])]
+    used = filled[:MOST_LINES]
     if not used:
         return None
-    separator = _separator_of([lines[k] for k in used])
+    later = used[len(used) // 2 :]
+    separator = _separator_of([lines[k] for k in later])
     rows = [_cells(lines[k].strip("\r"), separator) for k in used]
-    widths = [len(row) for row in rows]
+    widths = [len(row) for row in rows[len(rows) // 2 :]]
     usual = max(set(widths), key=widths.count)
-    place = _headings_among(rows, usual)
-    if place is None:
-        comment = _last_comment(lines[: used[0]], separator)
-        if len(comment) == usual and _are_headings(comment):
-            return _layout(comment, separator, used[0] + 1, text)
-        place = _line_above_numbers(rows, usual, used)
-    headings = rows[place]
-    below = rows[place + 1] if place + 1 < len(rows) else []
-    if len(below) == len(headings) and _are_units(below):
-        place += 1
-        headings = [_with_unit(name, unit) for name, unit in zip(headings, below, strict=True)]
-    return _layout(headings, separator, used[place] + 2, text)
+    marks = _marks([_cells(lines[k].strip("\r"), separator) for k in filled[:: len(filled) // MOST_LINES + 1]])
+    place = 0 if header else _headings_among(rows, usual)
+    comment = _last_comment(lines[: used[0]], separator)
+    if place is None and len(comment) == usual and _are_headings(comment):
+        return Layout(comment, separator, *marks, used[0] + 1)
+    place = _line_above_numbers(rows, usual, used) if place is None else place
+    headings, below = rows[place], rows[place + 1 : place + 2]
+    units = _labview_units(lines[:header], separator)[: len(headings)]
+    if below and len(below[0]) == len(headings) and _are_units(below[0]):
+        place, units = place + 1, below[0]
+    headings = [_with_unit(name, unit) for name, unit in zip_longest(headings, units, fillvalue="")]
+    return Layout(headings, separator, *marks, used[place] + 2)
+
+
+def _labview_units(header: Sequence[str], separator: str) -> list[str]:
+    """Units of the columns after the header of a file of LabVIEW; none if it tells none."""
+    labels = [_cells(line.strip("\r"), separator) for line in header if line.startswith("Y_Unit_Label")]
+    return ["s", *labels[-1][1:]] if labels else []
 
 
 def _separator_of(lines: Sequence[str]) -> str:
@@ -112,10 +145,25 @@ def _separator_of(lines: Sequence[str]) -> str:
 
 
 def _headings_among(rows: Sequence[list[str]], usual: int) -> int | None:
-    for place, row in enumerate(rows):
-        if len(row) == usual and _are_headings(row):
-            return place
-    return None
+    """Place of the headings: the first that stand above numbers, or above units; otherwise the first line like them."""
+    alike = [place for place, row in enumerate(rows) if len(row) == usual and _are_headings(row)]
+    for place in alike:
+        if place + 1 < len(rows) and len(rows[place + 1]) == usual and any(map(_NUMBER.fullmatch, rows[place + 1])):
+            return place - (place - 1 in alike and _are_units(rows[place]))
+    return alike[0] if alike else None
+
+
+def _marks(rows: Sequence[list[str]]) -> tuple[str, str | None]:
+    """Decimal mark of the numbers in rows, and the mark between their thousands.
+
+    Without a doubtless decimal mark, as in 12.5, that of three digits counts as one: 1,234 is less than two.
+    """
+    numbers = [found for row in rows for cell in row if (found := _NUMBER.fullmatch(cell))]
+    groups = Counter(found["group"] for found in numbers if found["group"])
+    marks = Counter(found["mark"] for found in numbers if found["mark"])
+    doubtless = marks or Counter({mark: count for mark, count in groups.items() if mark in ".,"})
+    decimal = doubtless.most_common(1)[0][0] if doubtless else "."
+    return decimal, next((mark for mark, _ in groups.most_common() if mark != decimal), None)
 
 
 def _last_comment(lines: Sequence[str], separator: str) -> list[str]:
@@ -147,26 +195,15 @@ def _line_above_numbers(rows: Sequence[list[str]], usual: int, lines: Sequence[i
     return first - 1
 
 
-def _layout(headings: list[str], separator: str, first_line: int, text: str) -> Layout:
-    rows = text.split("\n", first_line - 1)[-1]
-    return Layout(headings, separator, "," if separator != "," and "," in rows else ".", first_line)
-
-
-def _beginning(path: Path) -> tuple[str, str]:
+def _beginning(file: IO[bytes]) -> tuple[str, str]:
     """Encoding of a file, and the whole lines of its beginning."""
+    content = file.read(BEGINNING)
+    encoding = encoding_of(content)
     try:
-        with open(path, "rb") as file:
-            content = file.read(BEGINNING)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError:  # it holds a null or a surrogate
-        raise ConfigurationError(f"{str(path)!a}: is no possible file name") from None
-    if len(content) == BEGINNING:
-        content = content[: content.rfind(b"\n") + 1]
-    try:
-        return "utf-8-sig", content.decode("utf-8-sig")
+        text = codecs.getincrementaldecoder(encoding)().decode(content, final=len(content) < BEGINNING)
     except UnicodeDecodeError:
-        return OTHER_ENCODING, content.decode(OTHER_ENCODING, "replace")
+        encoding, text = OTHER_ENCODING, content.decode(OTHER_ENCODING, "replace")
+    return encoding, text[: text.rfind("\n") + 1] if len(content) == BEGINNING else text
 
 
 def _is_comment(line: str) -> bool:

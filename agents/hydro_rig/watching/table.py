@@ -18,6 +18,7 @@ import pandas as pd
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.verdict import Kind
+from hydro_rig.recordings.files import ENDINGS
 
 NUMBERS = ("size_40", "low_40", "high_40", "temperature", "bytes")
 TEXTS = ("time", "until", "axis", "file", "verdict", "reason", "repaired")
@@ -25,7 +26,6 @@ COLUMNS = (*TEXTS[:5], *NUMBERS, *TEXTS[5:])
 """Sizes with the ends of their 90 % intervals in l/min at 100 bar and 40 °C; ``temperature`` of the oil in °C;
 ``bytes`` of the file: a file that has grown is read again; ``repaired``: any mark."""
 
-SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mat")
 _DATE = re.compile(r"(?<!\d)20\d\d(?:[-_.:T ]*\d\d)*(?!\d)")  # in the name of a file, with or without a time
 _DATE_FOLDERS = re.compile(r"(?:^|/)20\d\d(?:[-_./ ]?W?\d\d?){0,2}(?=/|$)")  # 2026-10-03, 2026/10/03
 
@@ -59,7 +59,7 @@ def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
             hidden = not single and any(part.startswith((".", "_")) for part in parts)
             if hidden or not path.is_file() or path.resolve() in own:
                 continue
-            if not single and path.suffix.lower() not in SUFFIXES:
+            if not single and path.suffix.lower() not in ENDINGS:
                 others[path.suffix or path.name] += 1
                 continue
             recordings += 1
@@ -68,7 +68,7 @@ def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
             if same.path.resolve() != path.resolve():
                 raise ConfigurationError(f"{path}: {same.path} is '{name}' as well; give the folder above both")
         if not recordings:
-            raise ConfigurationError(f"{place}: holds no recording ({', '.join(SUFFIXES)})")
+            raise ConfigurationError(f"{place}: holds no recording ({', '.join(ENDINGS)})")
     told = ", ".join(f"{count} {ending}" for ending, count in sorted(others.items()))
     return [found[name] for name in sorted(found)], f"files that are no recordings: {told}" if told else ""
 
@@ -82,7 +82,7 @@ def axis_of(parts: Sequence[str], given: str) -> tuple[str, str]:
     *folders, file = parts
     axis = _DATE_FOLDERS.sub("", "/".join(part.split("=", 1)[-1] for part in folders)).strip("/")
     if not axis:
-        stem = _DATE.sub("", Path(file).stem).strip(" -_.")
+        stem = _DATE.sub("", Path(file.removesuffix(".gz").removesuffix(".zip")).stem).strip(" -_.")
         axis = stem if any(map(str.isalpha, stem)) else given or "axis"
     dates = [part for part in folders if part.split("=", 1)[-1] not in axis.split("/")]
     return axis, "/".join([axis, *dates, file])

@@ -158,6 +158,8 @@ AXES = {
     "axis06 2026-10-03T0600.csv": "axis06",
     "20261003_axis07.csv": "axis07",
     "axis08.csv": "axis08",
+    "axis09.csv.gz": "axis09",
+    "axis10_2026.zip": "axis10",
     "2026-10-03_06-00-00.csv": "given",
     "017.csv": "given",
 }
@@ -182,8 +184,8 @@ def test_the_path_below_the_folder_names_the_axis_without_dates(tmp_path):
 
 
 def test_files_that_are_no_recordings_are_told_and_hidden_ones_are_not(tmp_path):
-    given = written(tmp_path, "a/1.csv", "a/2.csv.gz", "a/3.csv.gz", "b/4.dat", "a/_5.csv", ".git/6.csv", "t.html")
-    assert files_of([given], tmp_path / "t.csv")[1] == "files that are no recordings: 1 .dat, 2 .gz"
+    given = written(tmp_path, "a/1.csv", "a/2.log", "a/3.log", "b/4.dat", "a/_5.csv", ".git/6.csv", "t.html")
+    assert files_of([given], tmp_path / "t.csv")[1] == "files that are no recordings: 1 .dat, 2 .log"
 
 
 def test_two_files_of_one_name_are_refused(tmp_path):

@@ -1,0 +1,71 @@
+"""Time stamps: dates with times as people, loggers and historians write them, and the day numbers of Excel."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pandas as pd
+
+from hydro_env.types import Floats
+
+FORMATS = (
+    "ISO8601",
+    "%d.%m.%Y %H:%M:%S.%f",
+    "%d-%b-%Y %H:%M:%S.%f",  # as PI writes them, here and in the next line
+    "%d-%b-%y %H:%M:%S.%f",
+    "%m/%d/%Y %I:%M:%S.%f %p",
+    "%m/%d/%Y %H:%M:%S.%f",
+    "%d/%m/%Y %I:%M:%S.%f %p",
+    "%d/%m/%Y %H:%M:%S.%f",
+)
+"""Of dates with times; where two fit, the first counts: 03/04/2026 is the fourth of March."""
+
+TRIED = 100  # number of stamps, spread over the file, that show the format
+DAY = 86400.0  # s
+EXCEL_BEGIN = -25569.0 * DAY  # s since 1970, begin of the day numbers of Excel
+EXCEL_DAYS = (20_000.0, 80_000.0)  # the years 1954 to 2119
+SHORTEST = 1e-5  # s between two rows, and in days more than half a second: smaller steps of such numbers are in days
+_SECONDS = r"(:\d\d:\d\d)(?![.,:\d])"  # without parts of a second
+_DATE = re.compile(r"\d{1,4}[-./]\w{1,3}[-./]\d{2,4}")
+_CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d([.,]\d+)?( ?[AP]M)?", re.IGNORECASE)
+
+
+def time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
+    """Seconds since the first date and time, and its own since 1970; ``None``: numbers or other text."""
+    if cells.dtype.kind == "m":
+        return cells.dt.total_seconds().to_numpy(np.float64), 0.0
+    if pd.api.types.is_numeric_dtype(cells):
+        return None, 0.0
+    if cells.dtype.kind == "M":
+        stamps = pd.to_datetime(cells, utc=True)
+    else:
+        texts = cells.astype(str).str.strip().str.replace(r"(:\d\d),(\d)", r"\1.\2", regex=True)
+        texts = texts.str.replace(_SECONDS, r"\1.0", regex=True)
+        some = texts.iloc[:: max(len(texts) // TRIED, 1)]
+        usual = min(FORMATS, key=lambda kind: pd.to_datetime(some, errors="coerce", utc=True, format=kind).isna().sum())
+        stamps = pd.to_datetime(texts, errors="coerce", utc=True, format=usual)
+    if stamps.isna().mean() > 0.5:
+        return None, 0.0
+    first = stamps.dropna().iloc[0]
+    seconds: Floats = (stamps - first).dt.total_seconds().to_numpy(dtype=np.float64).copy()
+    return seconds, float(first.timestamp())
+
+
+def are_excel_days(numbers: Floats) -> bool:
+    """Whether stamps (n,) without a unit are Excel's days: no rig takes rows so close together in seconds."""
+    known = numbers[np.isfinite(numbers)]
+    within = len(known) > 1 and EXCEL_DAYS[0] < known.min() and known.max() < EXCEL_DAYS[1]
+    return bool(within and 0.0 < np.median(np.diff(known)) < SHORTEST)
+
+
+def with_whole_stamps(table: pd.DataFrame) -> pd.DataFrame:
+    """A table in which a column of dates and one of times of day hold the whole stamp, both of them."""
+    first = [str(cell).strip() for cell in table.iloc[0]] if len(table) else []
+    dates = [place for place, cell in enumerate(first) if _DATE.fullmatch(cell)]
+    clocks = [place for place, cell in enumerate(first) if _CLOCK.fullmatch(cell)]
+    if len(dates) == len(clocks) == 1:
+        parts = [table.iloc[:, place].astype(str).str.strip() for place in dates + clocks]
+        for place in dates + clocks:
+            table.isetitem(place, parts[0] + " " + parts[1])
+    return table
