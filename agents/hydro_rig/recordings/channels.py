@@ -106,50 +106,44 @@ def _out_of_range(values: Floats, samples: Sampled, signal: str, config: TaskCon
         what += "; zero seems to be at the end of the stroke: mid-stroke is 0, so an offset of "
         what += f"{_shown(signal, -largest)} would fit"
     else:
-        what += _fitting_units(signal, (low, high), LEAST_USED * largest, samples, config)
+        what += _fitting_units(signal, max(abs(low), abs(high)), LEAST_USED * largest, largest, samples)
     return beyond, what, Weight.SEVERE
 
 
 def _too_low_pressures(samples: Sampled, config: TaskConfig) -> list[Finding]:
-    """Both pressures are far below the supply: the unit is wrong, or they are raw currents."""
-    known = [values for values in samples.signals[[PRESSURE_A, PRESSURE_B]] if np.isfinite(values).any()]
-    highest = max((np.nanquantile(values, 0.995) for values in known), default=np.inf)
-    lowest = min((np.nanquantile(values, 0.005) for values in known), default=np.inf)
-    supply = config.plant.supply.pressure
-    least = LEAST_PRESSURE * supply
-    if _are_currents(lowest, highest, "pressure_a", samples):
-        least = LEAST_BESIDE_CURRENTS * supply
-    if highest > least or config.sensors.differential_pressure:
+    """Both pressures are far below the supply: the unit is wrong, or they are the raw currents of the sensors."""
+    pressures = samples.signals[[PRESSURE_A, PRESSURE_B]]
+    ends = [np.nanquantile(values, [0.005, 0.995]) for values in pressures if np.isfinite(values).any()]
+    if not ends or config.sensors.differential_pressure:
+        return []
+    lowest, highest = np.min(ends), np.max(ends)
+    supply, sensor = config.plant.supply.pressure, config.sensors.pressure_a
+    unit = UNITS["pressure_a"][samples.units.get("pressure_a", "bar")]
+    raw = CURRENTS[0] * unit <= lowest and highest <= CURRENTS[1] * unit
+    least = (LEAST_BESIDE_CURRENTS if raw else LEAST_PRESSURE) * supply
+    if highest > least:
         return []
     what = f"read at most {_shown('pressure_a', highest)}, but the supply has {_shown('pressure_a', supply)}"
-    what += _fitting_units("pressure_a", (lowest, highest), least, samples, config)
+    if raw:
+        gain = (sensor.high - sensor.low) / unit / 16.0
+        what += (
+            f"; raw signals of 4 to 20 mA would fit: for sensors of {_shown('pressure_a', sensor.low)} to "
+            f"{_shown('pressure_a', sensor.high)} write gain: {gain:.5g}, offset: {sensor.low / unit - 4.0 * gain:.5g} "
+            "in the map"
+        )
+    what += _fitting_units("pressure_a", highest, least, _largest("pressure_a", config), samples)
     return [Finding("pressures", what, Weight.SEVERE)]
 
 
-def _fitting_units(
-    signal: str, readings: tuple[float, float], least: float, samples: Sampled, config: TaskConfig
-) -> str:
-    """Phrase with the units in which values with these ends (SI) would fit the rig; empty if there are none.
-
-    Those of a raw current have the change that a sensor of the rig's range would need.
-    """
+def _fitting_units(signal: str, size: float, least: float, largest: float, samples: Sampled) -> str:
+    """Phrase with the units in which values of this size (SI) would fit the rig; empty if there are none."""
     units = UNITS[signal]
     unit = samples.units.get(signal, next(iter(units)))
-    size, largest = max(map(abs, readings)), 1.2 * _largest(signal, config)
-    fitting = [name for name in units if name != unit and least <= size * units[name] / units[unit] <= largest]
-    phrase = f"; values in {' or '.join(fitting[:2])} instead of {unit} would fit" if fitting else ""
-    if _are_currents(*readings, signal, samples):
-        sensor = getattr(config.sensors, signal)
-        gain, zero = (sensor.high - sensor.low) / units[unit] / 16.0, sensor.low / units[unit]
-        raw = f"; a raw signal of 4 to 20 mA would fit: for a sensor of {_shown(signal, sensor.low)} to "
-        raw += f"{_shown(signal, sensor.high)} write gain: {gain:.5g}, offset: {zero - 4.0 * gain:.5g} in the map"
-        phrase = raw + phrase.replace("; values", "; or values")
-    return phrase
-
-
-def _are_currents(low: float, high: float, signal: str, samples: Sampled) -> bool:
-    size = UNITS[signal][samples.units.get(signal, next(iter(UNITS[signal])))]
-    return CURRENTS[0] * size <= low and high <= CURRENTS[1] * size
+    wanted = (least, 1.2 * largest)
+    fitting = [name for name in units if name != unit and wanted[0] <= size * units[name] / units[unit] <= wanted[1]]
+    if not fitting:
+        return ""
+    return f"; values in {' or '.join(fitting[:2])} instead of {unit} would fit"
 
 
 def _lost(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:

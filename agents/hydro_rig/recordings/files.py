@@ -19,9 +19,7 @@ import pandas as pd
 import scipy.io
 
 from hydro_env import ConfigurationError
-from hydro_env.files import read_text
 from hydro_env.types import Floats
-from hydro_rig.recordings.columns import split_heading
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.stamps import time_stamps, with_whole_stamps
 from hydro_rig.recordings.text_tables import text_table
@@ -50,8 +48,8 @@ LONG = {
 }
 """Headings of a long table, with a row per reading of any tag, in lower case; the quality may be absent."""
 
-GOOD = {"good", "ok", "valid", "true", "1", *map(str, range(192, 220))}
-"""Qualities of good readings, in lower case: words, WinCC's 1, and those of OPC."""
+GOOD = {"good", "ok", "valid", "true", "1", "192"}
+"""Qualities of good readings, in lower case: words, 1 of WinCC, and 192 of OPC."""
 
 TIMES = ("time", "t", "zeit", "timestamps")
 CONTENTS = ("values", "value", "data", "signals", "signal")
@@ -75,30 +73,23 @@ def read_columns(path: Path) -> Columns:
     Raises:
         ConfigurationError: the file is unreadable, too large or not a table, or its library is not installed.
     """
-    try:
-        size = path.stat().st_size
-    except (OSError, ValueError):  # the reader says why
-        size = 0
-    kind, content = path.suffix.lower(), None
-    if kind in (".gz", ".zip"):
-        with library_errors(path):
+    with library_errors(path):
+        kind, size, content = path.suffix.lower(), path.stat().st_size, None
+        if kind in (".gz", ".zip"):
             kind, content = unpacked(path)
-        size = len(content or b"")
+            size = len(content)
     if size > LARGEST_RECORDING:
         raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; cut it into several files")
-    file = path if content is None else io.BytesIO(content)
-    if kind == ".parquet":
-        with library_errors(path):
-            columns = of_table(pd.read_parquet(file, partitioning=None))
-    elif kind == ".mat":
-        with library_errors(path):
-            columns = read_mat(file)
-    elif kind in CONVERSIONS:
+    if kind in CONVERSIONS:
         raise ConfigurationError(f"{path}: convert the file first: {CONVERSIONS[kind]}.to_parquet('run.parquet')")
-    else:
-        table, first_line = text_table(path, content)
-        with library_errors(path):
-            columns = of_table(table, first_line)
+    file = path if content is None else io.BytesIO(content)
+    with library_errors(path):
+        if kind == ".parquet":
+            columns = of_table(pd.read_parquet(file, partitioning=None))
+        elif kind == ".mat":
+            columns = read_mat(file)
+        else:
+            columns = of_table(*text_table(file))
     if not columns.cells or not max(map(len, columns.cells)):
         raise ConfigurationError(f"{path}: holds {'headings but no rows' if columns.first_line else 'no numbers'}")
     return columns
@@ -110,15 +101,15 @@ def unpacked(path: Path) -> tuple[str, bytes]:
     Raises:
         ValueError: the archive holds several files.
     """
-    if path.suffix.lower() == ".gz":
-        with gzip.open(path) as file:
-            return Path(path.stem).suffix.lower(), file.read(LARGEST_RECORDING + 1)
-    with zipfile.ZipFile(path) as archive:
+    name, archive = path.stem, None
+    if path.suffix.lower() == ".zip":
+        archive = zipfile.ZipFile(path)
         names = [name for name in archive.namelist() if not name.endswith("/")]
         if len(names) != 1:
             raise ValueError(f"it holds {len(names)} files; unpack it")
-        with archive.open(names[0]) as file:
-            return Path(names[0]).suffix.lower(), file.read(LARGEST_RECORDING + 1)
+        name = names[0]
+    with archive.open(name) if archive else gzip.open(path) as file:
+        return Path(name).suffix.lower(), file.read(LARGEST_RECORDING + 1)
 
 
 @contextmanager
@@ -128,15 +119,15 @@ def library_errors(path: Path) -> Iterator[None]:
     Raises:
         ConfigurationError: it is not installed, or any of its errors.
     """
-    if not path.is_file() and not any(path.glob("*.parquet")):
-        read_text(path)  # says why
     try:
         yield
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ImportError:
         raise ConfigurationError(f"{path}: such files need more: pip install 'hydro_env[recordings]'") from None
     except Exception as error:  # a damaged file makes these libraries raise errors of any kind
-        reason = " ".join(str(error).split())[:150] or type(error).__name__
-        raise ConfigurationError(f"{path}: is not a readable {path.suffix.lower()} file: {reason}") from None
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ConfigurationError(f"{path}: is not a readable {path.suffix.lower() or 'text'} file: {reason}") from None
 
 
 def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], list[Finding]]:
@@ -159,7 +150,7 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
         cells["time"] = pd.Series(base)
     for signal, place in places.items():
         own = columns.stamps[place]
-        if own is None or (len(own) == len(base) and np.allclose(own, base, rtol=0.0, atol=1e-9)):
+        if own is None or (len(own) == len(base) and np.allclose(own, base, 0.0, 1e-9)):
             continue
         values = numbers_of(columns.cells[place])
         usual, row = _usual_step(own), _usual_step(base)
@@ -210,12 +201,11 @@ def placed(time: Floats, own: Floats, values: Floats, farthest: float) -> Floats
 
 def of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
     """The columns of a table; an index with a name is one of them, and one without is the time if it is no number."""
-    if table.index.name is not None or table.index.dtype.kind in "fmM":
+    if table.index.name is not None or table.index.dtype.kind in "fM":
         table = table.rename_axis(table.index.name or "time").reset_index()
     table = with_whole_stamps(table)
     headings = [str(name) for name in table.columns]
-    names = [split_heading(heading)[0].lower() for heading in headings]
-    found = {part: k for part, known in LONG.items() for k, name in enumerate(names) if name in known}
+    found = {part: k for part, names in LONG.items() for k, name in enumerate(headings) if name.lower() in names}
     if {"tag", "time", "value"} <= found.keys() and len(table):
         return _of_channels(_channels_of_tags(table, found), headings[found["time"]])
     return Columns(headings, [table.iloc[:, k] for k in range(len(headings))], [None] * len(headings), first_line)
@@ -259,12 +249,12 @@ def _of_channels(channels: list[_Channel], time_heading: str) -> Columns:
     longest = max((stamps for _, _, stamps in channels if stamps is not None), key=len, default=None)
     if longest is not None:
         channels.insert(0, (time_heading, longest, None))
-    columns = Columns([], [], [], 0)
-    for heading, values, stamps in channels:
-        columns.headings.append(heading)
-        columns.cells.append(pd.Series(values))
-        columns.stamps.append(stamps)
-    return columns
+    return Columns(
+        [heading for heading, _, _ in channels],
+        [pd.Series(values) for _, values, _ in channels],
+        [stamps for _, _, stamps in channels],
+        0,
+    )
 
 
 def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str = "") -> Iterator[_Channel]:

@@ -115,6 +115,9 @@ def _values_of(
             )
         if signal == "time" and dates is not None:
             values[signal] = dates
+            if "/" in str(own.iloc[0]):
+                what = f"has dates with slashes; the first is read as {pd.Timestamp(begin, unit='s'):%d %B %Y}"
+                findings.append(Finding(signal, what, Weight.NOTE))
             continue
         numbers = _numbers(own, signal, file.first_line, findings)
         units[signal], size = unit_of(column, signal, heading, source)

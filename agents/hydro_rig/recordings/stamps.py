@@ -33,8 +33,6 @@ _CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d([.,]\d+)?( ?[AP]M)?", re.IGNORECASE)
 
 def time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
     """Seconds since the first date and time, and its own since 1970; ``None``: numbers or other text."""
-    if cells.dtype.kind == "m":
-        return cells.dt.total_seconds().to_numpy(np.float64), 0.0
     if pd.api.types.is_numeric_dtype(cells):
         return None, 0.0
     if cells.dtype.kind == "M":
@@ -55,17 +53,17 @@ def time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
 def are_excel_days(numbers: Floats) -> bool:
     """Whether stamps (n,) without a unit are Excel's days: no rig takes rows so close together in seconds."""
     known = numbers[np.isfinite(numbers)]
-    within = len(known) > 1 and EXCEL_DAYS[0] < known.min() and known.max() < EXCEL_DAYS[1]
-    return bool(within and 0.0 < np.median(np.diff(known)) < SHORTEST)
+    within = ((known > EXCEL_DAYS[0]) & (known < EXCEL_DAYS[1])).all()
+    return bool(within and len(known) > 1 and 0.0 < np.median(np.diff(known)) < SHORTEST)
 
 
 def with_whole_stamps(table: pd.DataFrame) -> pd.DataFrame:
     """A table in which a column of dates and one of times of day hold the whole stamp, both of them."""
-    first = [str(cell).strip() for cell in table.iloc[0]] if len(table) else []
+    first = [str(cell).strip() for cell in table.head(1).to_numpy().ravel()]
     dates = [place for place, cell in enumerate(first) if _DATE.fullmatch(cell)]
     clocks = [place for place, cell in enumerate(first) if _CLOCK.fullmatch(cell)]
     if len(dates) == len(clocks) == 1:
-        parts = [table.iloc[:, place].astype(str).str.strip() for place in dates + clocks]
+        date, clock = (table.iloc[:, place].astype(str).str.strip() for place in dates + clocks)
         for place in dates + clocks:
-            table.isetitem(place, parts[0] + " " + parts[1])
+            table.isetitem(place, date + " " + clock)
     return table

@@ -7,15 +7,12 @@ import csv
 import io
 import re
 import warnings
-from collections import Counter
 from collections.abc import Sequence
-from itertools import zip_longest
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 import pandas as pd
 
-from hydro_env import ConfigurationError
 from hydro_env.files import encoding_of
 from hydro_rig.recordings.columns import UNITS, split_heading
 
@@ -32,108 +29,75 @@ _NUMBER = re.compile(
 _UNITS = {unit for units in UNITS.values() for unit in units} - {"1", "-"}
 
 
-class Layout(NamedTuple):
-    """Where a table stands in a text, and how it is written."""
-
-    headings: list[str]
-    separator: str
-    decimal: str  # mark of its numbers
-    thousands: str | None  # mark between them
-    first_line: int  # line of the first row, from 1
-
-
-def text_table(path: Path, content: bytes | None = None) -> tuple[pd.DataFrame, int]:
+def text_table(source: Path | io.BytesIO) -> tuple[pd.DataFrame, int]:
     """The rows of a table with their headings, and the line of the first.
 
-    Args:
-        path: the file.
-        content: what it holds, unpacked; ``None``: itself.
-
     Raises:
-        ConfigurationError: the file cannot be read, or is not a table.
+        OSError: the file cannot be read.
+        ValueError: it is not a table; pandas' own errors are such.
+        csv.Error: it holds other bytes than text, or endless lines.
     """
-    try:
-        with open(path, "rb") if content is None else io.BytesIO(content) as file:
-            encoding, text = _beginning(file)
-            layout = layout_of(text)
-            table = pd.DataFrame() if layout is None else _rows(file, encoding, layout)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    except pd.errors.ParserWarning:
-        raise ConfigurationError(f"{path}: rows have more columns than the line of headings") from None
-    except csv.Error:
-        raise ConfigurationError(f"{path}: is not a table: it holds other bytes than text, or endless lines") from None
-    except (ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
-        raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None
-    if layout is None:
-        raise ConfigurationError(f"{path}: holds no table")
-    return table.set_axis(layout.headings, axis=1), layout.first_line
-
-
-def _rows(file: IO[bytes], encoding: str, layout: Layout) -> pd.DataFrame:
-    file.seek(0)
-    with (
-        io.TextIOWrapper(file, encoding, errors="replace", newline="\n") as lines,
-        warnings.catch_warnings(),
-    ):
-        warnings.simplefilter("error", pd.errors.ParserWarning)
-        for _ in range(layout.first_line - 1):
+    with open(source, "rb") if isinstance(source, Path) else source as file, warnings.catch_warnings():
+        encoding, text = _beginning(file)
+        headings, first_line, writing = _layout(text)
+        file.seek(0)
+        lines = io.TextIOWrapper(file, encoding, errors="replace", newline="\n")
+        for _ in range(first_line - 1):
             lines.readline()
-        return pd.read_csv(
-            lines,
-            sep=layout.separator,
-            decimal=layout.decimal,
-            thousands=layout.thousands,
-            header=None,
-            names=range(len(layout.headings)),
-            index_col=False,
-            skipinitialspace=True,
-            low_memory=False,
-        )
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        try:
+            table = pd.read_csv(
+                lines,
+                **writing,
+                header=None,
+                names=range(len(headings)),
+                index_col=False,
+                skipinitialspace=True,
+                low_memory=False,
+            )
+        except pd.errors.ParserWarning:
+            raise ValueError("rows have more columns than the line of headings") from None
+    return table.set_axis(headings, axis=1), first_line
 
 
-def layout_of(text: str) -> Layout | None:
-    """Headings and first row of a table, from the beginning of its file; ``None``: it holds no line.
+def _layout(text: str) -> tuple[list[str], int, dict[str, str | None]]:
+    """Headings, line of the first row from 1, and separator and marks of numbers, from the beginning of a file.
 
     The headings stand above a row with numbers; they have as many cells as most lines of the later half, more than half
-    of them filled and none a number. Without such a line, the first one counts. A line of units, below the headings or
-    in the header of LabVIEW, gives each heading its own: ``P_A [bar]``. What stands before the headings, empty lines
-    and lines that begin with ``#`` or ``%`` are skipped; without headings, the last comment above the numbers counts if
-    it has as many cells. Spaces separate columns where nothing else does.
+    of them filled and none a number. Without such a line, the first one counts. If the line below holds units, each
+    heading gets its own: ``P_A [bar]``. What stands before the headings, empty lines and lines with ``#`` or ``%`` are
+    skipped; without headings, the last comment above the numbers counts if it has as many cells. Spaces separate
+    columns where nothing else does.
 
     Raises:
         csv.Error: a line is too long for a table.
-        ValueError: the line above the numbers has another number of cells.
+        ValueError: it holds no line, or the one above the numbers has another number of cells.
     """
     lines = text.split("\n")
     header = max((k + 1 for k, line in enumerate(lines) if line.startswith(HEADER_END)), default=0)
     filled = [k for k in range(header, len(lines)) if lines[k].strip() and not _is_comment(lines[k])]
     used = filled[:MOST_LINES]
     if not used:
-        return None
-    later = used[len(used) // 2 :]
-    separator = _separator_of([lines[k] for k in later])
-    rows = [_cells(lines[k].strip("\r"), separator) for k in used]
-    widths = [len(row) for row in rows[len(rows) // 2 :]]
+        raise ValueError("it holds no table")
+    half = len(used) // 2
+    separator = _separator_of([lines[k] for k in used[half:]])
+    rows = [_cells(lines[k], separator) for k in used]
+    widths = list(map(len, rows[half:]))
     usual = max(set(widths), key=widths.count)
-    marks = _marks([_cells(lines[k].strip("\r"), separator) for k in filled[:: len(filled) // MOST_LINES + 1]])
+    decimal, thousands = _marks([_cells(lines[k], separator) for k in filled[:: len(filled) // MOST_LINES + 1]])
+    writing = {"sep": separator, "decimal": decimal, "thousands": thousands}
     place = 0 if header else _headings_among(rows, usual)
     comment = _last_comment(lines[: used[0]], separator)
     if place is None and len(comment) == usual and _are_headings(comment):
-        return Layout(comment, separator, *marks, used[0] + 1)
-    place = _line_above_numbers(rows, usual, used) if place is None else place
-    headings, below = rows[place], rows[place + 1 : place + 2]
-    units = _labview_units(lines[:header], separator)[: len(headings)]
-    if below and len(below[0]) == len(headings) and _are_units(below[0]):
-        place, units = place + 1, below[0]
-    headings = [_with_unit(name, unit) for name, unit in zip_longest(headings, units, fillvalue="")]
-    return Layout(headings, separator, *marks, used[place] + 2)
-
-
-def _labview_units(header: Sequence[str], separator: str) -> list[str]:
-    """Units of the columns after the header of a file of LabVIEW; none if it tells none."""
-    labels = [_cells(line.strip("\r"), separator) for line in header if line.startswith("Y_Unit_Label")]
-    return ["s", *labels[-1][1:]] if labels else []
+        return comment, used[0] + 1, writing
+    if place is None:
+        place = _line_above_numbers(rows, usual, used)
+    headings = rows[place]
+    below = [*rows, []][place + 1]
+    if len(below) == len(headings) and _are_units(below):
+        place += 1
+        headings = [_with_unit(name, unit) for name, unit in zip(headings, below, strict=True)]
+    return headings, used[place] + 2, writing
 
 
 def _separator_of(lines: Sequence[str]) -> str:
@@ -141,7 +105,7 @@ def _separator_of(lines: Sequence[str]) -> str:
     for mark in ";\t,":
         if 2 * sum(mark in line for line in lines) > len(lines):
             return mark
-    return SPACES if all(_NUMBER.fullmatch(cell) for cell in lines[-1].split()) else ","
+    return SPACES if all(map(_NUMBER.fullmatch, lines[-1].split())) else ","
 
 
 def _headings_among(rows: Sequence[list[str]], usual: int) -> int | None:
@@ -159,11 +123,11 @@ def _marks(rows: Sequence[list[str]]) -> tuple[str, str | None]:
     Without a doubtless decimal mark, as in 12.5, that of three digits counts as one: 1,234 is less than two.
     """
     numbers = [found for row in rows for cell in row if (found := _NUMBER.fullmatch(cell))]
-    groups = Counter(found["group"] for found in numbers if found["group"])
-    marks = Counter(found["mark"] for found in numbers if found["mark"])
-    doubtless = marks or Counter({mark: count for mark, count in groups.items() if mark in ".,"})
-    decimal = doubtless.most_common(1)[0][0] if doubtless else "."
-    return decimal, next((mark for mark, _ in groups.most_common() if mark != decimal), None)
+    marks = [found["mark"] for found in numbers if found["mark"]]
+    groups = [found["group"] for found in numbers if found["group"]]
+    doubtless = marks or [mark for mark in groups if mark in ".,"]
+    decimal = max(set(doubtless), key=doubtless.count, default=".")
+    return decimal, max(set(groups) - {decimal}, default=None)
 
 
 def _last_comment(lines: Sequence[str], separator: str) -> list[str]:
@@ -179,11 +143,8 @@ def _line_above_numbers(rows: Sequence[list[str]], usual: int, lines: Sequence[i
 
     A separator at the end of lines makes no column.
     """
-    first = 0
-    for place, row in enumerate(rows):
-        if len(row) == usual and any(map(_NUMBER.fullmatch, row)):
-            first = place
-            break
+    numbers = (place for place, row in enumerate(rows) if len(row) == usual and any(map(_NUMBER.fullmatch, row)))
+    first = next(numbers, 0)
     if first == 0:
         return 0
     above = rows[first - 1]
@@ -213,7 +174,7 @@ def _is_comment(line: str) -> bool:
 def _cells(line: str, separator: str) -> list[str]:
     if separator == SPACES:
         return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+    return [cell.strip() for cell in next(csv.reader([line.strip("\r")], delimiter=separator, skipinitialspace=True))]
 
 
 def _are_headings(cells: list[str]) -> bool:

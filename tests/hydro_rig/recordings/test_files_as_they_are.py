@@ -154,7 +154,7 @@ def of_labview(table, text, path):
     rows = ["\t".join(f"{value:.9f}" for value in row) for row in table.to_numpy()]
     rows[0] += "\tbegun by hand"
     path.write_text("\r\n".join(head + rows))
-    return "\n".join(["time: X_Value", *(f"{name}: {name}" for name in NAMES)])
+    return map_of("X_Value")
 
 
 def of_labview_without_stamps(table, text, path):
@@ -162,8 +162,7 @@ def of_labview_without_stamps(table, text, path):
     head, mark, rows = path.read_text().rpartition("Comment")
     lines = rows.splitlines()
     path.write_text(head + mark + "\n".join("\t" * ("\t" in line) + line.partition("\t")[2] for line in lines))
-    columns = [f"{name}: {name}" for name in NAMES]
-    return "\n".join(["time: {column: X_Value, equidistant: 5 ms}", *columns])
+    return map_of("{column: X_Value, equidistant: 5 ms}")
 
 
 def of_to_file(table, text, path):
@@ -223,6 +222,13 @@ FILES = {
 }
 """What writes the file, by its name; it returns the map that the file needs."""
 
+SLASHES = "time has dates with slashes; the first is read as "
+NOTES = {
+    "excel.csv": ["time is read as days, as Excel counts them"],
+    "american.csv": [SLASHES + "10 March 2026"],
+    "british.csv": [SLASHES + "13 March 2026"],
+    "daqami.csv": [SLASHES + "10 March 2026"],
+}
 UNDATED = ("powershell", "gzip", "zip", "thousands", "labview", "to_", "prelude")
 
 
@@ -244,8 +250,7 @@ def test_a_file_of_another_program_holds_the_same(tmp_path, original, name):
     days = 3.0 if name == "british.csv" else 0.0
     dated = 0.0 if name.startswith(UNDATED) else BEGIN.timestamp() + 86400.0 * days
     assert found.begin == pytest.approx(dated, abs=1e-4)
-    told = [finding.line() for finding in found.findings]
-    assert told == (["time is read as days, as Excel counts them"] if name == "excel.csv" else [])
+    assert [finding.line() for finding in found.findings] == NOTES.get(name, [])
 
 
 def test_what_stays_out_is_told_in_one_line_with_its_conversion(tmp_path, original):
@@ -259,6 +264,9 @@ def test_what_stays_out_is_told_in_one_line_with_its_conversion(tmp_path, origin
         (tmp_path / name).write_bytes(gzip.compress(text.encode())[:200])
         with refused("is not a readable"):
             read_recording(tmp_path / name)
+        with refused("cannot be read: No such file"):
+            read_recording(tmp_path / f"no_{name}")
+    (tmp_path / "a.xlsx").touch()
     with refused(r"convert the file first: pandas.read_excel.*to_parquet"):
         read_recording(tmp_path / "a.xlsx")
     (tmp_path / "a.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400))
@@ -277,7 +285,7 @@ def test_a_raw_current_is_named_with_its_gain_and_offset(original):
     signals = recording.signals.copy()
     signals[1:3] = 1e5 * (4.0 + 16.0 * signals[1:3] / CONFIG.sensors.pressure_a.high)
     told = [finding.line() for finding in check_recording(changed(recording, signals=signals), CONFIG).findings]
-    wanted = "a raw signal of 4 to 20 mA would fit: for a sensor of 0 bar to 100 bar write gain: 6.25, offset: -25 in"
+    wanted = "raw signals of 4 to 20 mA would fit: for sensors of 0 bar to 100 bar write gain: 6.25, offset: -25 in"
     assert any(wanted in line for line in told), told
 
 

@@ -105,5 +105,6 @@ def test_a_damaged_file_is_told_in_one_line(tmp_path, kind, name):
 
 def test_files_of_other_kinds_are_refused_with_their_conversion(tmp_path):
     for kind in ("mf4", "tdms"):
+        (tmp_path / f"a.{kind}").touch()
         with refused(r"convert the file first: .*to_parquet"):
             read_recording(tmp_path / f"a.{kind}")
