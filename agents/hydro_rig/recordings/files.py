@@ -73,16 +73,17 @@ def read_columns(path: Path) -> Columns:
     Raises:
         ConfigurationError: the file is unreadable, too large or not a table, or its library is not installed.
     """
+    kind = path.suffix.lower()
+    file: Path | io.BytesIO = path
     with library_errors(path):
-        kind, size, content = path.suffix.lower(), path.stat().st_size, None
+        size = path.stat().st_size
         if kind in (".gz", ".zip"):
             kind, content = unpacked(path)
-            size = len(content)
+            size, file = len(content), io.BytesIO(content)
     if size > LARGEST_RECORDING:
         raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; cut it into several files")
     if kind in CONVERSIONS:
         raise ConfigurationError(f"{path}: convert the file first: {CONVERSIONS[kind]}.to_parquet('run.parquet')")
-    file = path if content is None else io.BytesIO(content)
     with library_errors(path):
         if kind == ".parquet":
             columns = of_table(pd.read_parquet(file, partitioning=None))
@@ -101,15 +102,15 @@ def unpacked(path: Path) -> tuple[str, bytes]:
     Raises:
         ValueError: the archive holds several files.
     """
-    name, archive = path.stem, None
-    if path.suffix.lower() == ".zip":
-        archive = zipfile.ZipFile(path)
-        names = [name for name in archive.namelist() if not name.endswith("/")]
-        if len(names) != 1:
-            raise ValueError(f"it holds {len(names)} files; unpack it")
-        name = names[0]
-    with archive.open(name) if archive else gzip.open(path) as file:
-        return Path(name).suffix.lower(), file.read(LARGEST_RECORDING + 1)
+    if path.suffix.lower() == ".gz":
+        with gzip.open(path) as file:
+            return Path(path.stem).suffix.lower(), file.read(LARGEST_RECORDING + 1)
+    archive = zipfile.ZipFile(path)
+    names = [name for name in archive.namelist() if not name.endswith("/")]
+    if len(names) != 1:
+        raise ValueError(f"it holds {len(names)} files; unpack it")
+    with archive.open(names[0]) as member:
+        return Path(names[0]).suffix.lower(), member.read(LARGEST_RECORDING + 1)
 
 
 @contextmanager
@@ -222,13 +223,13 @@ def _channels_of_tags(table: pd.DataFrame, places: Mapping[str, int]) -> list[_C
     values = numbers_of(table.iloc[:, places["value"]])
     if "quality" in places:
         quality = table.iloc[:, places["quality"]].astype(str).str.strip().str.lower().str.removesuffix(".0")
-        good = quality.isin(GOOD).to_numpy()
+        good = quality.isin(GOOD)
         if not good.any():
             heading = table.columns[places["quality"]]
             raise ValueError(f"no reading is good: '{heading}' holds '{quality.iloc[0][:20]}'; leave it out if it is")
         values[~good] = np.nan
     tags = table.iloc[:, places["tag"]].astype(str).str.strip()
-    return [(str(tag), values[rows], time[rows]) for tag, rows in tags.groupby(tags, sort=False).indices.items()]
+    return [(tag, values[rows], time[rows]) for tag, rows in tags.groupby(tags, sort=False).indices.items()]
 
 
 def read_mat(file: Path | io.BytesIO) -> Columns:

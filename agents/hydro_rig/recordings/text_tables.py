@@ -9,7 +9,6 @@ import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO
 
 import pandas as pd
 
@@ -156,7 +155,7 @@ def _line_above_numbers(rows: Sequence[list[str]], usual: int, lines: Sequence[i
     return first - 1
 
 
-def _beginning(file: IO[bytes]) -> tuple[str, str]:
+def _beginning(file: io.BufferedIOBase) -> tuple[str, str]:
     """Encoding of a file, and the whole lines of its beginning."""
     content = file.read(BEGINNING)
     encoding = encoding_of(content)
