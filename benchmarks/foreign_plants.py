@@ -366,7 +366,7 @@ def main() -> None:
     for table in (summary(rows[rows["controller"] != LEAK]), rows[rows["controller"] == LEAK]):
         if len(table):
             shown = table.drop(columns="case").dropna(axis="columns", how="all").round(3).astype(str)
-            print(markdown(tuple(shown), shown.to_numpy().tolist()), end="\n\n")
+            print(markdown(tuple(shown), [[str(cell) for cell in row] for row in shown.to_numpy()]), end="\n\n")
 
 
 if __name__ == "__main__":

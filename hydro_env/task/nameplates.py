@@ -233,6 +233,9 @@ def _ranges(figures: Mapping[str, Any], values: Mapping[str, Mapping[str, Any]])
     if "piston_mass" not in figures:
         unsure += 0.3 * _piston_mass(figures) / figures["mass"]
     ranges["load.mass"] = {"factor": (rounded(max(1 - unsure, 0.5)), rounded(1 + unsure))}
+    share = values["load"].get("tip_share", 0.0)
+    if share:
+        ranges["load.tip_share"] = {"factor": (0.6, rounded(min(1.4, 0.98 / share)))}
     overlapped, model = values["valve"]["overlap"] != 0.0, values["supply"]["model"]
     known = {
         "valve.slew_limit": "step_time" in figures,

@@ -64,6 +64,8 @@ class OwnLoop:
 
     def reset(self, volts: float = 0.0) -> None:
         """Begin anew at the next complete sample; ``volts`` is what the valve receives until then."""
+        if not abs(volts) <= FULL_VOLTAGE:
+            raise ConfigurationError(f"own loop: volts = {volts:g}: must be within ±{FULL_VOLTAGE:g}")
         self._record, self._reference = table(1, RECORD), np.zeros(max(self._places) + 1)
         self._record["command"] = volts / FULL_VOLTAGE
         self._before, self._at_rest, self.lost, self.holding = np.nan, 0.0, 0, False

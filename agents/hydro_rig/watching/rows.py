@@ -16,7 +16,7 @@ import numpy as np
 from hydro_agents.detection.detector import AUXILIARY
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
-from hydro_rig.recordings.columns import MEASURED, ColumnMap, own_map, place_of, unit_of
+from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 
 SIGNALS = (*MEASURED, *AUXILIARY)
 """Of a row, in this order."""
@@ -46,7 +46,13 @@ class _Columns:
     """Where the cells of a line hold the signals, and their units."""
 
     def __init__(self, headings: Sequence[str], columns: ColumnMap | None, source: str) -> None:
-        chosen = (columns or own_map(headings, source)).columns()
+        found = columns or own_map(headings, source)
+        chosen = found.columns()
+        if LOAD_PRESSURE in chosen or found.time.equidistant or found.command.rows_early:
+            raise ConfigurationError(
+                f"{source}: the map names load_pressure, equidistant or rows_early; hydro watch reads two pressures, "
+                "and rows with their own stamps"
+            )
         self.time = place_of(chosen["time"], "time", headings, source)
         self.time_unit = unit_of(chosen["time"], "time", headings[self.time], source)[1]
         self.signals = []
@@ -77,6 +83,7 @@ class RowReader:
         self._headings: list[str] | None = None  # of a CSV
         self._separator = ","
         self._columns: dict[tuple[str, ...], _Columns] = {}  # by headings
+        self._gathered: dict[str, tuple[float, dict[str, str]]] = {}  # line protocol: time and fields, by axis
         self._lines = 0
 
     def row(self, line: str) -> Row | None:
@@ -106,25 +113,38 @@ class RowReader:
             self._columns[key] = _Columns(headings, self._map, "rows")
         return self._columns[key]
 
-    def _of_cells(self, text: str) -> Row:
+    def _of_cells(self, text: str) -> Row | None:
         assert self._headings is not None
         cells = [cell.strip().strip('"') for cell in text.split(self._separator)]
         columns, axis = self._of_headings(self._headings), ALONE
+        if set(cells) == set(self._headings):  # another file begins
+            self._headings = cells
+            return None
         if self._tag in self._headings:
             axis = cells[min(self._headings.index(self._tag), len(cells) - 1)]
         if columns.time >= len(cells):
             raise RowError(f"line {self._lines}: has {len(cells)} cells, the heading line has {len(self._headings)}")
         return Row(axis, self._time(cells[columns.time], columns.time_unit), columns.values(cells))
 
-    def _of_protocol(self, parts: Sequence[str]) -> Row:
+    def _of_protocol(self, parts: Sequence[str]) -> Row | None:
+        """The row before this line's: fields of one axis and time may come in several lines."""
         names = dict(_pair(text) for text in _FIELDS.split(parts[0])[1:])
         fields = dict(_pair(text) for text in _FIELDS.split(parts[1]))
         if len(parts) < 3:
             raise RowError(f"line {self._lines}: has no time stamp")
-        headings = ["time", *fields]
-        time = _number(parts[2]) * NANOSECOND
-        cells = ["", *(text.removesuffix("i").strip('"') for text in fields.values())]
-        return Row(names.get(self._tag, ALONE), time, self._of_headings(headings).values(cells))
+        axis, time = names.get(self._tag, ALONE), _number(parts[2]) * NANOSECOND
+        before, gathered = self._gathered.get(axis, (np.nan, {}))
+        if time == before:
+            gathered |= fields
+            return None
+        self._gathered[axis] = time, fields
+        if not gathered:
+            return None
+        cells = ["", *(text.removesuffix("i").strip('"') for text in gathered.values())]
+        try:
+            return Row(axis, before, self._of_headings(["time", *gathered]).values(cells))
+        except ConfigurationError as error:
+            raise RowError(f"line {self._lines}: {error}") from None
 
     def _time(self, cell: str, unit: float) -> float:
         time = unit * _number(cell)

@@ -8,6 +8,7 @@ from queue import Empty, Queue
 from threading import Thread
 
 from hydro_env import ConfigurationError
+from hydro_env.errors import reason
 
 MOST_LINES = 10_000  # that wait; the source then waits, too
 PATIENCE = 1.0  # s
@@ -15,11 +16,14 @@ PATIENCE = 1.0  # s
 
 def lines_of(fill: Callable[[Callable[[str], None]], None]) -> Iterator[str | None]:
     """The lines that ``fill`` puts from a thread of its own; ``None`` after each second without a line."""
-    queue: Queue[str | None] = Queue(MOST_LINES)
+    queue: Queue[str | Exception | None] = Queue(MOST_LINES)
 
     def run() -> None:
-        fill(queue.put)
-        queue.put(None)
+        try:
+            fill(queue.put)
+            queue.put(None)
+        except Exception as error:  # of any library; the reader must not wait for ever
+            queue.put(error)
 
     thread = Thread(target=run, daemon=True)
     thread.start()
@@ -31,6 +35,8 @@ def lines_of(fill: Callable[[Callable[[str], None]], None]) -> Iterator[str | No
             continue
         if line is None:  # the end of the input
             return
+        if isinstance(line, Exception):
+            raise ConfigurationError(f"rows: cannot be read: {reason(line)}")
         yield line
 
 

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from enum import StrEnum
 from pathlib import Path
+from time import monotonic
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,8 +24,10 @@ from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.running.text import number
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.errors import reason
 from hydro_env.files import read_json, write_text
 from hydro_env.folders import config_folder
+from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
 from hydro_rig.diagnosis.verdict import Kind, Leak
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.two_stage import TwoStageDetector
@@ -43,6 +46,10 @@ SILENT = 3.0  # looks without a row, after which an axis has no data
 AGREE, LATEST = 3, 5  # a cause counts if so many of the last looks name it
 CHECK_EVERY = 3  # looks
 MARGIN = 2.0  # windows that are sampled between two checks, of which the newest is read
+UNSURE = 75.0  # s after the last answer below the limit, from which an axis is no longer good
+SET_BACK = 1.0  # s, from which an earlier stamp is a clock that was set back
+DAY = 86400.0  # s; stamps that differ by more are of different clocks
+MOST_AXES = 1000
 READING_EVERY = 3600.0  # s between two rows of the table per axis
 
 
@@ -104,7 +111,8 @@ class AxisWatch:
         self._rows: deque[tuple[float, Any]] = deque(maxlen=max(round(KEPT / task.control_period), 100))
         self._due = np.nan
         self._causes: deque[str] = deque(maxlen=LATEST)
-        self._looks, self._found = 0, list[Finding]()
+        self._looks, self._since_look, self._found = 0, 0, list[Finding]()
+        self._sure = -np.inf  # s, of the last answer whose whole interval lies below the limit
 
     @property
     def newest(self) -> float:
@@ -113,20 +121,23 @@ class AxisWatch:
 
     def add(self, row: Row) -> Look | None:
         """Add a row; the look that is then due."""
-        if self._rows and row.time < self.newest - KEPT:  # the clock was set back
+        if self._rows and row.time < self.newest - SET_BACK:
             self._rows.clear()
-            self._due = np.nan
+            self._due, self._looks, self._sure = np.nan, 0, -np.inf
+            return self._told(row.time, Condition.CHECK, "the clock was set back", NOTHING)
         self._rows.append((row.time, row.values))
+        self._since_look += 1
         if np.isnan(self._due):
             self._due = row.time + max(WINDOW, self.interval)
-        if row.time < self._due:
+        if row.time < self._due and self._since_look < self._rows.maxlen:  # a clock in the wrong unit hardly moves
             return None
-        self._due = row.time + self.interval
+        self._due, self._since_look = row.time + self.interval, 0
         return self.look()
 
     def silent(self, now: float) -> Look | None:
         """A look at an axis that has sent no row for some looks; ``None`` if it has, or if that was said."""
-        if self.condition is Condition.NO_DATA or now - self.newest < SILENT * self.interval:
+        late = SILENT * self.interval <= now - self.newest < DAY
+        if self.condition is Condition.NO_DATA or not late:
             return None
         return self._told(now, Condition.NO_DATA, "no row", NOTHING)
 
@@ -152,7 +163,15 @@ class AxisWatch:
         if not len(windows):
             return self._told(now, Condition.CHECK, "fewer rows than one window", NOTHING)
         reading = self._detector.read(windows, on_grid(self.task, samples.period))
+        blind = bool(np.isnan(rows.signals[[PRESSURE_A, PRESSURE_B]]).all())  # a faulty seal can then look healthy
+        if reading.sized[0] and reading.high_lpm[0] <= self.limit and not blind:
+            self._sure = now
         condition, cause = self._summed_up(reading, activity_of(windows.signals, samples.period))
+        if condition is Condition.GOOD and now - self._sure > UNSURE:
+            condition, cause = (
+                Condition.CHECK,
+                f"cannot tell: {reading.remarks[0] or 'the interval of the leak is wide'}",
+            )
         if self._found:
             condition, cause = Condition.FAILURE, self._found[0].line()
         return self._told(now, condition, cause, _leak_of(reading))
@@ -208,8 +227,11 @@ class AxisWatch:
 
     def restore(self, kept: dict[str, Any]) -> None:
         """Take over what :meth:`kept` gave."""
-        self.condition, self.since = Condition(kept["condition"]), float(kept["since"])
-        self.memory = AlarmState(**{name: np.array(values) for name, values in kept["alarm"].items()})
+        try:
+            self.condition, self.since = Condition(kept["condition"]), float(kept["since"])
+            self.memory = AlarmState(**{name: np.array(values) for name, values in kept["alarm"].items()})
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigurationError(f"the memory of hydro watch: axis '{self.axis}': {reason(error)}") from None
 
 
 def _leak_of(reading: Reading) -> Leak:
@@ -242,6 +264,8 @@ class FleetWatch:
         """Add a row; the looks that are then due, after what they tell was written."""
         axis = self.axes.get(row.axis)
         if axis is None:
+            if len(self.axes) >= MOST_AXES:
+                raise ConfigurationError(f"more than {MOST_AXES} axes; --tag names the column or tag of the axis")
             task = self._task_of(row.axis)
             axis = AxisWatch(row.axis, task, self._limit * leak_scale(task))
             if row.axis in self._kept:
@@ -252,17 +276,26 @@ class FleetWatch:
         if look is not None:
             self._keep(look, look.condition is not before)
             yield look
-            for other in self.axes.values():
-                silent = other.silent(row.time)
-                if silent is not None:
-                    yield silent
+            yield from self.silent(lambda _: row.time)
+
+    def silent(self, now_of: Callable[[AxisWatch], float]) -> Iterator[Look]:
+        """The looks at axes that have fallen silent; ``now_of``: the time now by the clock of an axis, s."""
+        for axis in self.axes.values():
+            look = axis.silent(now_of(axis))
+            if look is not None:
+                self._keep(look, changed=True)
+                yield look
 
     def looks(self, lines: Iterable[str | None], reader: RowReader) -> Iterator[Look]:
         """The looks of all lines; a line that is no row costs a line on the error stream, once per kind."""
         told: set[str] = set()
+        last = monotonic()
         for line in lines:
             if line is None:  # nothing came for a while
+                waited = monotonic() - last
+                yield from self.silent(lambda axis, waited=waited: axis.newest + waited)  # type: ignore[misc]
                 continue
+            last = monotonic()
             try:
                 row = reader.row(line)
             except RowError as error:

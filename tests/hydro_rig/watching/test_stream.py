@@ -79,13 +79,16 @@ def test_a_csv_row_holds_its_signals_in_si_and_its_axis(lines):
 def test_line_protocol_is_read_with_escaped_names_and_a_map():
     columns = {"time": "time", "command": {"column": "u", "unit": "V"}, "position": {"column": "pos x", "unit": "mm"}}
     reader = RowReader(ColumnMap(**columns), tag="machine")
-    row = reader.row(r'plc,machine=lift\ 3,site=a pos\ x=-12.5,u=5i,note="a, b=c d" 1700000000250000000')
+    at = 1700000000250000000
+    assert reader.row(rf'plc,machine=lift\ 3,site=a pos\ x=-12.5,note="a, b=c d" {at}') is None
+    assert reader.row(rf"plc,machine=lift\ 3 u=5i {at}") is None  # another field at the same time
+    row = reader.row(rf"plc,machine=lift\ 3 u=1 {at + 5000000}")
     assert row.axis == "lift 3"
     assert row.time == pytest.approx(1700000000.25, abs=1e-6)
     assert row.values[[POSITION, COMMAND]] == pytest.approx([-0.0125, 0.5])
-    back = RowReader(ColumnMap(**columns)).row(
-        in_protocol("m", "lift 3", {"pos x".replace(" ", r"\ "): -12.5, "u": 5.0}, 2.5)
-    )
+    other = RowReader(ColumnMap(**columns))
+    sent = [in_protocol("m", "lift 3", {r"pos\ x": -12.5, "u": 5.0}, time) for time in (2.5, 3.0)]
+    back = [other.row(line) for line in sent][1]
     assert (back.axis, back.time, back.values[COMMAND]) == ("lift 3", 2.5, 0.5)
 
 
@@ -176,8 +179,7 @@ def test_a_leak_of_a_moving_axis_is_told_within_30_s_and_a_healthy_one_is_good(l
     assert set(table["axis"]) == {"wet", "dry"}
     assert table["verdict"][table["axis"] == "wet"].iloc[-1] == "internal leak"
     assert json.loads(wet[0].line(protocol=False))["state"] == "maintenance required"
-    again = RowReader(ColumnMap(time="time", command={"column": "value", "unit": "V"})).row(wet[0].line(protocol=True))
-    assert again.axis == "wet"
+    assert wet[0].line(protocol=True).startswith('hydro_watch,axis=wet state="maintenance required",since=')
 
 
 WIRING = {
@@ -201,6 +203,43 @@ def test_a_fault_of_the_wiring_is_named_before_an_alarm(fault, healthy, tmp_path
     assert looks
     assert {look.condition for look in looks} <= {Condition.CHECK, Condition.FAILURE}
     assert all(look.cause for look in looks)
+
+
+def test_rows_that_do_not_tell_the_leak_are_never_good(healthy, tmp_path):
+    """Time and command alone; no pressures; the clock in another unit, or set back; a heading between the rows."""
+    rows = cells(healthy)[:1700]
+    alone = rows.copy()
+    alone[:, 1:5] = np.nan
+    slow = rows * [1e-6, 1, 1, 1, 1, 1]
+    for given in (alone, np.where(np.isin(np.arange(6), (2, 3)), np.nan, rows), slow):
+        looks = list(fleet_in(tmp_path).looks(in_csv(healthy, given), RowReader()))
+        assert looks
+        assert Condition.GOOD not in {look.condition for look in looks}
+    looks = list(fleet_in(tmp_path).looks(in_csv(healthy, np.concatenate([rows, rows[500:]])), RowReader()))
+    assert "the clock was set back" in {look.cause for look in looks}
+    assert not list(fleet_in(tmp_path).looks([*healthy[:3], healthy[0], *healthy[3:6]], RowReader()))
+    (tmp_path / "watch.json").write_text('{"axis": {"condition": "fine"}}')
+    with refused("memory of hydro watch: axis 'axis'"):
+        list(fleet_in(tmp_path).looks(healthy[:3], RowReader()))
+
+
+def test_a_source_that_fails_ends_the_watch_with_one_line():
+    def fill(put):
+        put("first")
+        raise UnicodeDecodeError("utf-8", b"\\xb0", 0, 1, "invalid")
+
+    lines = lines_of(fill)
+    assert next(lines) == "first"
+    with refused("rows: cannot be read: "):
+        next(lines)
+
+
+def test_an_axis_alone_that_falls_silent_has_no_data(healthy, tmp_path, monkeypatch):
+    clock = iter(np.arange(0.0, 1e6, 0.5))
+    monkeypatch.setattr("hydro_rig.watching.stream.monotonic", lambda: next(clock))
+    looks = list(fleet_in(tmp_path).looks([*healthy[:1000], *[None] * 60], RowReader()))
+    assert [look.condition for look in looks] == [Condition.GOOD, Condition.NO_DATA]
+    assert json.loads((tmp_path / "watch.json").read_text())["axis"]["condition"] == "no data"
 
 
 def test_a_restart_goes_on_where_it_was(leaking, tmp_path):
