@@ -183,6 +183,7 @@ SOURCES = {
             "condition": "{condition}",
             "head: false alarms": "{head flagged 0:.1f}",
             "0.3 l/min found": "{head flagged 0,3:.0f}",
+            "the head cannot tell": "{head cannot_tell 0:.0f}",
             "estimator: false alarms": "{estimator flagged 0:.0f}",
             "of 0.3 l/min found": "{estimator flagged 0,3:.0f}",
             "it cannot tell": "{estimator cannot_tell 0:.0f}",

@@ -62,6 +62,7 @@ function makeCard(axis, place) {
 function verdictOf(read, time) {
   const probability = read("probability");
   if (Number.isNaN(probability)) return [`detector: listening, ${number(Math.max(FACTS.window - time, 0), 1)} s more`, false];
+  if (read("outside") === 2) return ["detector: an axis at rest does not tell a leak from a shifted valve; no answer", false];
   if (read("outside") > 0) return ["detector: unlike all it was trained on; no answer", false];
   const percent = `${number(100 * probability, 0)} %`;
   if (probability < FACTS.threshold) return [`detector: leak with ${percent}; not flagged`, false];

@@ -61,8 +61,10 @@ class LeakageEstimate(NamedTuple):
     valve_fault: NDArray[np.float64]  # of null shift, worn edges, changed flow or hysteresis
     sensor_fault: NDArray[np.float64]  # of offset, gain, freeze or drop-out
     return_line: NDArray[np.float64]  # of raised tank pressure
-    outside: NDArray[np.float64]  # 1: the answer does not count (unlike the training, or a stuck sensor)
+    outside: NDArray[np.float64]  # the answer does not count: 1: unlike the training, or a stuck sensor; 2: at rest
 
+
+AT_REST = 2.0  # of ``outside``: the axis does not move
 
 BESIDE_STUCK_SENSOR = {
     "probability": 0.5,
@@ -138,7 +140,6 @@ def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, NDArray[n
         "changing": (1,),
         "widening": (GROUPS, len(SIZES), 2),
         "thresholds": (len(LABELS),),
-        "still_shift": (1,),
     }
     for layer in range(LAYERS):
         shapes |= {f"weight_{layer}": (sizes[layer + 1], sizes[layer]), f"bias_{layer}": (sizes[layer + 1],)}
@@ -151,13 +152,9 @@ def standardised(features: NDArray[np.float32], mean: NDArray[Any], scale: NDArr
     return inputs
 
 
-def probabilities(
-    output: NDArray[np.float64], features: NDArray[np.float32], still_shift: float
-) -> NDArray[np.float64]:
-    """Probability of each label, (N, labels); ``still_shift`` is added to the logit of a leak at standstill."""
-    logits = output[:, : len(LABELS)].copy()
-    logits[:, 0] += still_shift * (features[:, SPREAD] < STILL)
-    result: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-logits))
+def probabilities(output: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Probability of each label, (N, labels)."""
+    result: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-output[:, : len(LABELS)]))
     return result
 
 
@@ -277,11 +274,13 @@ class LeakageHead:
         rig = np.tile(self.rig, (len(features), 1))  # empty in a head for one rig
         inputs = standardised(np.concatenate([features, rig], axis=1), tensors["mean"], tensors["scale"])
         output = self.outputs(inputs)
-        probability = probabilities(output, features, float(tensors["still_shift"][0]))
+        probability = probabilities(output)
         sizes = self._sizes(output, features)
         strangeness = np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1))
         farthest, most_disturbed = tensors["limit"]
         outside = np.maximum(strangeness - farthest, output[:, OUTSIDE] - most_disturbed) > 0.0
+        # At rest a shifted or worn valve looks like a leak; the estimator tells them apart, or says that it cannot.
+        outside = np.where(features[:, SPREAD] < STILL, AT_REST, 1.0 * outside)
         return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)
 
     def _sizes(self, output: NDArray[np.float64], features: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -28,7 +28,7 @@ from hydro_agents.detection.head import (
     standardised,
     tensors_like,
 )
-from hydro_agents.detection.intervals import COVERAGE, FEWEST, GROUPS, WIDTHS, distances, groups, quantiles
+from hydro_agents.detection.intervals import COVERAGE, GROUPS, WIDTHS, distances, groups, quantiles
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.jobs import Job, run_jobs
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
@@ -40,7 +40,6 @@ RIDGE = 0.05  # added to the covariance of the standardised features before inve
 FALSE_ALARM_RATE = 0.01
 
 CHANGING_SHARE = 0.15  # share of the windows that are treated as windows with a changing leak
-LARGEST_SHIFT = 2.0  # largest size of the shift of a leak's logit at standstill
 OUTSIDE_RATE = 0.01  # share of undisturbed validation windows that each of the two limits of "outside" marks
 
 SPLITS = {"data": "training", "validation": "validation"}  # of a law's rigs, for each phase of simulation
@@ -189,11 +188,12 @@ def calibrated(
 ) -> LeakageHead:
     """The head with thresholds, intervals and the bound of "outside" from validation windows.
 
-    Thresholds and intervals come from the windows with the task's own sensors and a laminar leak. The threshold of a
-    leak gives 1 % false alarms among healthy axes without other faults, both at standstill and in motion; the threshold
-    of any other label gives 1 % among axes without it. Intervals: :mod:`hydro_agents.detection.intervals`.
+    The head does not answer at rest, so windows there do not count. Thresholds and intervals come from those with the
+    task's own sensors and a laminar leak. The threshold of a leak gives 1 % false alarms among healthy axes without
+    other faults; the threshold of any other label gives 1 % among axes without it. Intervals:
+    :mod:`hydro_agents.detection.intervals`.
     """
-    windows = windows.part(windows.disturbance == 0.0)
+    windows = windows.part((windows.disturbance == 0.0) & (windows.features[:, SPREAD] >= STILL))
     inputs = standardised(windows.features, tensors["mean"], tensors["scale"])
     plain = HeadSettings(
         task=config, window=config.steps, longest=longest, threshold=0.5, width=len(tensors["bias_0"]), training=record
@@ -204,11 +204,7 @@ def calibrated(
     usual = (windows.noise == 1.0) & (windows.leak != LEAK_COURSES.index("orifice"))
     windows, output = windows.part(usual), output[usual]
     clean = (windows.fault < 0) & (windows.leak == LEAK_COURSES.index("constant")) & (windows.labels[:, 0] == 0.0)
-    still = windows.features[:, SPREAD] < STILL
-    if min((clean & still).sum(), (clean & ~still).sum()) >= FEWEST:
-        logits = [threshold_at_false_alarm_rate(output[clean & here, 0], FALSE_ALARM_RATE) for here in (still, ~still)]
-        tensors["still_shift"][0] = np.clip(logits[1] - logits[0], -LARGEST_SHIFT, LARGEST_SHIFT)
-    probability = probabilities(output, windows.features, float(tensors["still_shift"][0]))
+    probability = probabilities(output)
     for label in range(len(LABELS)):
         without = clean if label == 0 else windows.labels[:, label] == 0.0
         tensors["thresholds"][label] = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)

@@ -10,7 +10,7 @@ import numpy as np
 from hydro_agents.controllers.base import check_layout
 from hydro_agents.detection.detector import Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.features import LABELS
-from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageHead
+from hydro_agents.detection.head import AT_REST, BESIDE_STUCK_SENSOR, LeakageHead
 from hydro_agents.running.folders import pretrained_folder, shipped_weights
 from hydro_env import ConfigurationError, TaskConfig
 
@@ -80,10 +80,10 @@ class HeadDetector:
         return ""
 
     def read(self, windows: Windows, task: TaskConfig) -> Reading:
-        """Read windows; one unlike the training has the cause ``UNKNOWN``, one with a stuck sensor has no score."""
+        """Read windows; one unlike the training has no answer, one at rest or with a stuck sensor no score either."""
         head = self.on(task)
         found = head.estimate_windows(windows.signals)
-        outside = found.outside > 0.0
+        outside, still = found.outside > 0.0, found.outside == AT_REST
         stuck = outside & (found.sensor_fault == BESIDE_STUCK_SENSOR["sensor_fault"])
         thresholds = logit(head.tensors["thresholds"])[[LABELS.index(name) for name in _OTHER_LABELS]]
         excess: Any = logit(np.column_stack([getattr(found, name) for name in _OTHER_LABELS])) - thresholds
@@ -93,15 +93,16 @@ class HeadDetector:
         for row in excess > 0.0:
             words = [cause.in_full for cause, above in zip(OTHER_CAUSES, row, strict=True) if above]
             faults.append(" and ".join(words))
+        unknown = np.where(still, Cause.UNDETERMINED, Cause.UNKNOWN)
         return Reading.of(
-            np.where(stuck, np.nan, evidence),
-            np.where(stuck, Cause.SENSOR, np.where(outside, Cause.UNKNOWN, named)),
+            np.where(stuck | still, np.nan, evidence),
+            np.where(stuck, Cause.SENSOR, np.where(outside, unknown, named)),
             probability=found.probability,
             flow_lpm=found.flow_lpm,
             low_lpm=found.low_lpm,
             high_lpm=found.high_lpm,
             fault=faults,
-            why=np.where(outside, Why.OUTSIDE, Why.ANSWERED),
+            why=np.where(still, Why.AT_REST, np.where(outside, Why.OUTSIDE, Why.ANSWERED)),
         )
 
 

@@ -1,8 +1,8 @@
 """The leakage head in motion, the estimator at rest or in doubt: one detector for an alarm that watches for weeks.
 
-The head reads a window within a millisecond, but at rest it takes a shifted valve for a leak. The estimator tells them
-apart and names faults surely, but one window takes half a second: it is asked at most once a minute per axis, which
-takes about one percent of a core.
+The head reads a window within a millisecond, but not at rest, where a shifted valve looks like a leak. The estimator
+tells them apart and names faults surely, but one window takes half a second: it is asked at most once a minute per
+axis, which takes about one percent of a core.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ FIELDS = {
     "valve_fault": "probability of a fault of the valve",
     "sensor_fault": "probability of a fault of a sensor",
     "return_line": "probability of raised tank pressure",
-    "outside": "1: the answer is not valid, because the window is unlike the training; else 0",
+    "outside": "the answer is not valid: 1: the window is unlike the training; 2: the axis does not move; else 0",
 }
 FORGET = 4  # multiples of window times interval after which the C code restarts its sample counter
 FILES = ("leakage_head.c", "leakage_head.h", "test_leakage_head.c", "vectors.csv", "README.md")
