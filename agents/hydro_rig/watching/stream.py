@@ -108,7 +108,8 @@ class AxisWatch:
         self.condition, self.since = Condition.NO_DATA, np.nan
         self._detector = TwoStageDetector(HeadDetector.load(), EstimatorDetector(threads=1))
         self._scale = leak_scale(task)
-        self._rows: deque[tuple[float, Any]] = deque(maxlen=max(round(KEPT / task.control_period), 100))
+        self._most = max(round(KEPT / task.control_period), 100)
+        self._rows: deque[tuple[float, Any]] = deque(maxlen=self._most)
         self._due = np.nan
         self._causes: deque[str] = deque(maxlen=LATEST)
         self._looks, self._since_look, self._found = 0, 0, list[Finding]()
@@ -129,7 +130,7 @@ class AxisWatch:
         self._since_look += 1
         if np.isnan(self._due):
             self._due = row.time + max(WINDOW, self.interval)
-        if row.time < self._due and self._since_look < self._rows.maxlen:  # a clock in the wrong unit hardly moves
+        if row.time < self._due and self._since_look < self._most:  # a clock in the wrong unit hardly moves
             return None
         self._due, self._since_look = row.time + self.interval, 0
         return self.look()
