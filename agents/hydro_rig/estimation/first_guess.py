@@ -30,6 +30,7 @@ def first_values(signals: Floats, config: TaskConfig, priors: Mapping[str, Prior
     value, slope = _starts(signals[:, : len(SENSORS)], time)
     seen = {f"start.{channel}": value[:, row] for row, channel in enumerate(SENSORS)}
     seen["start.velocity"] = slope[:, POSITION]
+    seen["start.tip_position"], seen["start.tip_velocity"] = seen["start.position"], seen["start.velocity"]
     spool = value[:, SPOOL]  # without a spool sensor, the spool equals its command
     seen["start.spool_position"] = np.where(np.isnan(spool), signals[:, -1, 0], spool)
     seen["supply.pressure"] = seen["start.supply_pressure"] = supply_pressure(signals, config)

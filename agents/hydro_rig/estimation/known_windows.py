@@ -38,7 +38,7 @@ class KnownWindows:
     signals: Floats  # (B, 5, T), SI: the measured signals (NaN without sensor) and the command that acts at each sample
     leakage_flow_lpm: Floats  # (B,), l/min at 100 bar
     physical: Floats  # (B, parameters), the true plants with their faults, in the order of PARAMETER_PATHS
-    start: Floats  # (B, N_STATES), true state at the first sample
+    start: Floats  # (B, N_ALL_STATES), true state at the first sample
     latency: Floats  # (B,), s
     gain: Floats  # (B, channels), reading over true value; 1 for a sound sensor
     bias: Floats  # (B, channels), SI; a fault's offset included
@@ -116,7 +116,7 @@ class _Watcher:
         if self._step == self.first:
             self.truth = {
                 "physical": np.array([_physical(axes, axis) for axis in range(axes.count)]),
-                "start": axes.state.copy(),
+                "start": axes.complete_state.copy(),
                 "latency": axes.column("latency").copy(),
                 **_sensors(axes),
             }

@@ -11,10 +11,10 @@ import numpy as np
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
-from hydro_env.plant.states import N_STATES, State
+from hydro_env.plant.states import ALL_STATES, N_ALL_STATES, N_STATES, Structure
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats, Indices
-from hydro_rig.estimation.replay import RISE, Commands, Rows, replay, times
+from hydro_rig.estimation.replay import RISE, Commands, Rows, replay, times, with_all_states
 from hydro_rig.estimation.unknowns import (
     BIASES,
     COURSE,
@@ -45,8 +45,9 @@ MOST_LATE = 3.0  # largest latency, and largest lead, of an unknown latency, con
 LARGEST_CHANGE = 1e6
 """Largest change of a reading by a step, over its noise; beyond it the integration of the moved plant has diverged."""
 
-_UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
-_SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
+_STATES = list(ALL_STATES)
+_UNFOLLOWED = [_STATES.index("coil_current"), _STATES.index("gas_volume"), *range(N_STATES, N_ALL_STATES)]
+_SUPPLY, _SETTING = _STATES.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
 _NULL = PARAMETER_PATHS.index("valve.null_shift")
 _EXTERNAL = PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)
 
@@ -73,9 +74,8 @@ class Model:
         commands: recorded commands (B, T); column k acts until one latency after sample k.
         physical: known parameters, (B, parameters) in the order of ``PARAMETER_PATHS``; ``None``: those of the task's
             plant.
-        start: known start states, (B, N_STATES). NaN as coil current means the current of the first command, NaN as gas
-            volume the volume at the supply pressure. ``None``: supply pressure at its setting, NaN for these two, and 0
-            for all others.
+        start: known start states, (B, states), as of :class:`~hydro_rig.estimation.replay.Rows`. ``None``: supply
+            pressure at its setting, NaN for the states that may be, and 0 for all others.
         threads: worker threads; ``None`` takes one per core.
         boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
 
@@ -105,10 +105,10 @@ class Model:
         self.commands = Commands(command, boundary)
         own = to_vector(config.plant) if physical is None else np.asarray(physical, dtype=np.float64)
         self._physical = np.array(np.broadcast_to(own, (count, len(PARAMETER_PATHS))))
-        resting = np.zeros(N_STATES)
-        resting[State._fields.index("supply_pressure")] = config.plant.supply.pressure
+        resting = np.zeros(N_ALL_STATES)
+        resting[_SUPPLY] = config.plant.supply.pressure
         resting[_UNFOLLOWED] = np.nan
-        self._start = np.array(np.broadcast_to(resting if start is None else start, (count, N_STATES)))
+        self._start = np.tile(resting, (count, 1)) if start is None else with_all_states(np.array(start))
         self._set_priors(priors)
 
     def _set_priors(self, priors: Mapping[str, Prior]) -> None:
@@ -120,6 +120,8 @@ class Model:
         self._added = {place: BIASES.index(name) for place, name in enumerate(self.names) if name in BIASES}
         self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
         starts = np.array([self.names[place] in STARTS for place in self.simulated], np.bool_)
+        own = self.config.plant.structure
+        self.structure = Structure(own.lines or "lines.length_a" in priors, own.tip or "load.tip_share" in priors)
         self._first_steps = np.where(starts, FIRST_START_STEP, FIRST_STEP)
 
     @property
@@ -204,7 +206,7 @@ class Model:
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
         rows = Rows(window, physical, start, latency, lag, course, offset)
-        read = replay(self.config, commands, rows, self.threads)
+        read = replay(self.config, commands, rows, self.threads, self.structure)
         if self.config.sensors.differential_pressure:
             read[:, PRESSURE_A] -= read[:, PRESSURE_B]
         read *= (gain / self.noise)[:, :, None]

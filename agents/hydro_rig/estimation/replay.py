@@ -5,22 +5,26 @@ from __future__ import annotations
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled, inline
-from hydro_env.plant.arrays import N_COEFFICIENTS, read_physical, read_state, write_coefficients
-from hydro_env.plant.equations import RIGID_PARTS, Coefficients, coefficients, derivatives
-from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
+from hydro_env.plant.arrays import N_COEFFICIENTS, read_complete_state, read_physical, write_coefficients
+from hydro_env.plant.equations import Coefficients, coefficients, derivatives, parts_of
+from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrators
+from hydro_env.plant.parts.lines import CELLS
 from hydro_env.plant.parts.supply import gas_volume_at
-from hydro_env.plant.states import State
+from hydro_env.plant.states import COMPLETE, N_ALL_STATES, RIGID, Structure
 from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS, SPOOL
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import lagged
 from hydro_env.types import Floats, Indices
 from hydro_env.units import FULL_VOLTAGE
+
+KINDS = 2 ** len(Structure._fields)  # of structures
 
 ROWS_PER_THREAD = 64  # smallest number of rows per thread; with fewer, starting the thread takes longer than its work
 
@@ -29,9 +33,10 @@ RISE = math.log(9.0)  # 10–90 % rise time of a first-order lag over its time c
 MOST_STEPS = 500.0
 """Largest number of inner steps between two samples; a plant that needs more could not have moved as recorded."""
 
-_CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = (
-    State._fields.index(name) for name in ("coil_current", "gas_volume", "supply_pressure")
-)
+_PLACES = COMPLETE(*range(len(COMPLETE._fields)))
+_TIP_POSITION, _TIP_VELOCITY = _PLACES.tip_position, _PLACES.tip_velocity
+_CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = _PLACES.coil_current, _PLACES.gas_volume, _PLACES.supply_pressure
+_LINE_PRESSURES, _LINE_FLOWS = _PLACES.line_a_pressure_1, _PLACES.line_a_flow_1
 
 _TANK, _RELIEF, _SUPPLY_DYNAMICS, _LINE_STIFFNESS = (
     Coefficients._fields.index(name)
@@ -69,8 +74,9 @@ class Rows(NamedTuple):
     window: Indices  # (R,), index of the window
     physical: Floats  # (R, parameters), in the order of PARAMETER_PATHS
     start: Floats
-    """(R, N_STATES), state at the first sample. NaN as coil current means the current of the first command, NaN as gas
-    volume the volume at the supply pressure."""
+    """(R, states), state at the first sample; those of optional parts may be absent. NaN as coil current means the
+    current of the first command, as gas volume the volume at the supply pressure, as tip that of the piston, in the
+    lines a steady flow."""
 
     latency: Floats
     """(R,), s, from a sample until its command acts; a negative one, or one beyond the interval to the next sample,
@@ -86,7 +92,14 @@ def times(samples: int, config: TaskConfig) -> Floats:
     return np.pad(np.cumsum(np.full(samples - 1, config.control_period)), (1, 0))
 
 
-def replay(config: TaskConfig, commands: Commands, rows: Rows, threads: int | None = None) -> Floats:
+def with_all_states(start: Floats) -> Floats:
+    """States (R, N_ALL_STATES), NaN those of optional parts where ``start``, (R, N_STATES), lacks them."""
+    return np.pad(start, ((0, 0), (0, N_ALL_STATES - start.shape[1])), constant_values=np.nan)
+
+
+def replay(
+    config: TaskConfig, commands: Commands, rows: Rows, threads: int | None = None, structure: Structure = RIGID
+) -> Floats:
     """Readings of R plants, without noise and bias, (R, sensors, T), in the order of ``SENSORS``.
 
     They are NaN after a failure of the integration.
@@ -96,6 +109,7 @@ def replay(config: TaskConfig, commands: Commands, rows: Rows, threads: int | No
         commands: the recorded commands of B windows.
         rows: the plants.
         threads: worker threads; ``None`` takes one per core.
+        structure: which parts the plants have.
     """
     count, samples = len(rows.window), commands.command.shape[1]
     boundary, lag, course, offset = commands.boundary, rows.lag, rows.course, rows.offset
@@ -108,12 +122,14 @@ def replay(config: TaskConfig, commands: Commands, rows: Rows, threads: int | No
     if offset is None:
         offset = np.zeros((count, 2))
     recorded = Commands(commands.command, np.ascontiguousarray(boundary))
-    whole = Rows(rows.window, rows.physical, np.array(rows.start, np.float64), rows.latency, lag, course, offset)
+    start = with_all_states(np.array(rows.start, np.float64))
+    whole = Rows(rows.window, rows.physical, start, rows.latency, lag, course, offset)
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
     readings = np.full((count, len(SENSORS), samples), np.nan)
+    run = _replay(structure, structure.lines and config.sensors.pressures_at == "valve")
 
     def part(first: int, last: int) -> None:
-        _replay(recorded, whole, config.control_period, accuracy, readings, first, last)
+        run(recorded, whole, config.control_period, accuracy, readings, first, last)
 
     parts = max(1, min(threads or os.cpu_count() or 1, count // ROWS_PER_THREAD))
     if parts == 1:
@@ -135,8 +151,14 @@ def sense(s: Any, sensed: Floats, reading: Floats) -> None:
 
 
 @inline
+def as_it_is(s: Any) -> Any:
+    """The chambers, where the transducers usually sit."""
+    return s
+
+
+@inline
 def begin(own: Floats, coefficient: Floats, physical: Floats, volts: float, supply: float) -> Any:
-    """Complete the state ``own`` of a plant at the first command, write its coefficients, and return its rates.
+    """Complete the state ``own`` of a plant at the first command, and write and return its coefficients.
 
     With a recorded pressure of the supply (else NaN) the supply has no dynamics of its own.
     """
@@ -150,7 +172,14 @@ def begin(own: Floats, coefficient: Floats, physical: Floats, volts: float, supp
         own[_CURRENT] = c.drive_rate * volts / c.coil_rate
     if math.isnan(own[_GAS_VOLUME]):
         own[_GAS_VOLUME] = gas_volume_at(own[_SUPPLY_PRESSURE], p)
-    return derivatives(read_state(own), c, volts, RIGID_PARTS)
+    s = read_complete_state(own)
+    if math.isnan(s.tip_position):
+        own[_TIP_POSITION], own[_TIP_VELOCITY] = s.position, s.velocity
+    if math.isnan(s.line_a_pressure_1):
+        for cell in range(CELLS):
+            own[_LINE_PRESSURES + cell], own[_LINE_FLOWS + cell] = s.pressure_a, c.area_a * s.velocity
+            own[_LINE_PRESSURES + CELLS + cell], own[_LINE_FLOWS + CELLS + cell] = s.pressure_b, -c.area_b * s.velocity
+    return c
 
 
 @inline
@@ -164,7 +193,15 @@ def move_supply(own: Floats, coefficient: Floats, moved: float, supply: float, t
         coefficient[_TANK] = tank
 
 
-def _build(sources: int) -> Any:
+@cache
+def _replay(structure: Structure, at_the_valve: bool) -> Any:
+    """The compiled replay of plants with a structure, whose pressure sensors sit at the cylinder or at the valve."""
+    parts, integrate = parts_of(structure), integrators(structure)[1]
+    sensed_at = parts.lines.ports if at_the_valve else as_it_is
+    return _build(SOURCES + structure.number + KINDS * at_the_valve, parts, integrate, sensed_at)
+
+
+def _build(sources: int, parts: Any, integrate: Any, sensed_at: Any) -> Any:
     def run(
         recorded: Any, plants: Any, duration: float, accuracy: Any, readings: Floats, first: int, last: int
     ) -> None:
@@ -178,12 +215,13 @@ def _build(sources: int) -> Any:
         for row in range(rows):
             plant, source, constant = first + row, plants.window[first + row], plants.lag[first + row]
             volts, supply = FULL_VOLTAGE * command[source, 0], boundary[source, 0, 0] - offset[plant, 0]
-            rate = begin(states[row], coefficient[row], plants.physical[plant], volts, supply)
-            s = read_state(states[row])
+            c = begin(states[row], coefficient[row], plants.physical[plant], volts, supply)
+            s = read_complete_state(states[row])
+            at, rate = sensed_at(s), sensed_at(derivatives(s, c, volts, parts))
             # After a steady change, a lag is behind by the change within its time constant.
-            true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
-            sensed[row, 0] = s.pressure_a - constant * rate.pressure_a
-            sensed[row, 1] = s.pressure_b - constant * rate.pressure_b
+            true[row, 0], true[row, 1] = at.pressure_a, at.pressure_b
+            sensed[row, 0] = at.pressure_a - constant * rate.pressure_a
+            sensed[row, 1] = at.pressure_b - constant * rate.pressure_b
             sense(s, sensed[row], readings[plant, :, 0])
         for sample in range(1, samples):
             for row in range(rows):
@@ -200,19 +238,17 @@ def _build(sources: int) -> Any:
                 before, after = min(max(sample - 1 - late, 0), samples - 1), min(max(sample - late, 0), samples - 1)
                 voltage[row, 0] = FULL_VOLTAGE * command[source, before]
                 voltage[row, 1] = FULL_VOLTAGE * command[source, after]
-            integrate_part(Plants(states, coefficient, voltage, interval, peaks), accuracy, 0, rows)
+            integrate(Plants(states, coefficient, voltage, interval, peaks), accuracy, 0, rows)
             for row in range(rows):
                 if peaks[row, STEPS] > accuracy.most_steps:
                     states[row, :] = np.nan
                 constant = plants.lag[first + row]
                 lag = Lag(constant / duration, math.exp(-duration / constant) if constant > 0.0 else 0.0)
-                s = read_state(states[row])
-                sensed[row, 0] = lagged(sensed[row, 0], true[row, 0], s.pressure_a, lag)
-                sensed[row, 1] = lagged(sensed[row, 1], true[row, 1], s.pressure_b, lag)
-                true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
+                s = read_complete_state(states[row])
+                at = sensed_at(s)
+                sensed[row, 0] = lagged(sensed[row, 0], true[row, 0], at.pressure_a, lag)
+                sensed[row, 1] = lagged(sensed[row, 1], true[row, 1], at.pressure_b, lag)
+                true[row, 0], true[row, 1] = at.pressure_a, at.pressure_b
                 sense(s, sensed[row], readings[first + row, :, sample])
 
     return compiled(run)
-
-
-_replay = _build(SOURCES)

@@ -21,7 +21,7 @@ from hydro_agents.detection.detector import RECORDED
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.plant.parts.leakage import ROD_SEAL
-from hydro_env.plant.states import STATE_NAMES, STATES
+from hydro_env.plant.states import ALL_STATES
 from hydro_env.task.faults import SIGNED_KINDS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
 from hydro_env.task.sensors import PRESSURE_A, SENSORS
@@ -45,7 +45,7 @@ NULL_DRIFT = "valve.null_drift"
 
 USUAL_DRIFT = 0.003  # standard deviation, parts of full command: real amplifiers and valves wander by 1 % and more
 
-STARTS = tuple(f"start.{name}" for name in STATE_NAMES)
+STARTS = tuple(f"start.{name}" for name in ALL_STATES)
 EXTERNAL_RESISTANCE = f"leakage.{ROD_SEAL.parameter}"
 
 PATHS = tuple(path for path in PARAMETER_PATHS if path not in (*MODEL_CODES, *LEAKAGE_OF_THE_TASK, EXTERNAL_RESISTANCE))
@@ -105,6 +105,7 @@ def starts_of(config: TaskConfig) -> list[str]:
     names = ["position", "velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity"]
     names += ["supply_pressure"] if config.plant.supply.model != "constant" else []
     names += ["bristle_deflection"] if config.plant.friction.model == "lugre" else []
+    names += ["tip_position", "tip_velocity"] if config.plant.structure.tip else []
     return [f"start.{name}" for name in names]
 
 
@@ -268,11 +269,11 @@ def _start(config: TaskConfig, state: str) -> Prior:
     # Of a difference the sum is not measured, and two empty chambers explain one as well.
     spread = 0.05 if config.sensors.differential_pressure else 0.3
     known = {
-        "position": Prior(0.0, 0.3 * config.plant.cylinder.stroke),
-        "velocity": Prior(0.0, 0.5),
+        **dict.fromkeys(("position", "tip_position"), Prior(0.0, 0.3 * config.plant.cylinder.stroke)),
+        **dict.fromkeys(("velocity", "tip_velocity"), Prior(0.0, 0.5)),
         **dict.fromkeys(("pressure_a", "pressure_b"), Prior(0.5 * pressure, spread * pressure)),
         "spool_position": Prior(0.0, 0.3),
         "spool_velocity": Prior(0.0, 5.0),
         "supply_pressure": Prior(pressure, 0.2 * pressure),
     }
-    return known.get(state, Prior(0.0, STATES[state].typical))
+    return known.get(state, Prior(0.0, ALL_STATES[state].typical))
