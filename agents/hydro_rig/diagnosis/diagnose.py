@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -157,7 +158,8 @@ def read_windows(windows: Windows, config: TaskConfig, threads: int | None = Non
     unread = Reading.of(np.full(len(windows), np.nan), Cause.UNKNOWN, why=Why.NOT_READ)
     reading = unread.replaced(first, reading)
     if len(others) and fitted is not None and fitted.holds.any():
-        rest, more = detector.read_and_fit(windows.part(others), config)
+        usual = Counter(parts for parts in fitted.parts if parts).most_common(1)
+        rest, more = detector.read_and_fit(windows.part(others), config, usual[0][0] if usual else ())
         tell("estimator", len(commanded), len(commanded))
         reading = reading.replaced(others, rest)
         if more is not None:

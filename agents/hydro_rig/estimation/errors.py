@@ -22,7 +22,8 @@ MEMORIES = np.array([2.0, 6.0, 20.0, 60.0, 200.0])  # samples; candidates of the
 RATIOS = np.array([0.0, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0, 4.0, 8.0, 16.0, 40.0])  # slow error over white noise; candidates
 WORTH = 6.0  # least gain of twice the log-likelihood by which a slow error is believed
 SLOW = 1.0  # slow error that the data sheet does not explain, in standard deviations of its noise
-SHORT, LASTING = 2.0, 20.0  # samples; memory of noise that looks like a slow error; of one that is no coloured noise
+SHORT = 2.0  # samples; memory of noise that looks like a slow error
+LASTING = 0.05  # of the window; least memory of a slow error that is no coloured noise
 LEAST_WHITE = 0.1  # smallest white noise, over that of the data sheet
 
 SPIKE = 5.0  # robust standard deviations from the median of its neighbours beyond which a residual is a spike
@@ -43,19 +44,18 @@ class Errors(NamedTuple):
         """White noise as the data sheet says."""
         return cls(np.ones((windows, channels)), np.zeros((windows, channels)), np.ones((windows, channels)))
 
-    @property
-    def of_model(self) -> Mask:
+    def of_model(self, samples: int) -> Mask:
         """Windows in which several channels differ, at least one of them lastingly, (B,): the model is wrong."""
         differ = (self.slow > SLOW) & (self.memory > SHORT)
-        return np.asarray((differ.sum(axis=1) > 1) & (differ & (self.memory >= LASTING)).any(axis=1))
+        return np.asarray((differ.sum(axis=1) > 1) & (differ & (self.memory >= LASTING * samples)).any(axis=1))
 
-    def as_white(self, count: Floats) -> Errors:
+    def as_white(self, count: Floats, samples: int) -> Errors:
         """White noise with which no combination of ``count`` readings, (B, channels), is surer than with these errors.
 
         Coloured noise is as strong at each frequency as at the lowest; a lasting slow error has its norm everywhere.
         """
         keep = np.exp(-1.0 / self.memory)
-        times = np.where(self.memory < LASTING, (1.0 + keep) / (1.0 - keep), count)
+        times = np.where(self.memory < LASTING * samples, (1.0 + keep) / (1.0 - keep), count)
         return Errors(np.sqrt(self.white**2 + times * self.slow**2), np.zeros_like(times), self.memory)
 
     def part(self, chosen: Any) -> Errors:

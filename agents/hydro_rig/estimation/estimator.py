@@ -5,6 +5,10 @@ lap of its edges, its flow, the return line, and offsets of the sensors. Without
 on an axis with a worn valve. Windows without signs of wear are fitted again without it, but with the lap, which no
 nameplate tells: the simpler model gives the leak more precisely. A window at rest shows no signs of wear, whatever the
 valve is like, so that its leak keeps the uncertainty of the wear.
+
+Where the residuals are not mere noise, the parts are tried that the file of a rig does not tell
+(:mod:`hydro_rig.estimation.structure`): a supply that moves, another load, a second mass, a seal that yields, waves in
+the lines. What none of them explains widens the interval.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,13 +33,13 @@ from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.search import SURE, EstimationSettings
+from hydro_rig.estimation.structure import LAP, Lacking, Part, lacking, lap_of, unexplained, with_parts
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
     EXTERNAL_RESISTANCE,
     LEAKAGE,
     Prior,
-    course_of,
     default_unknowns,
 )
 
@@ -43,12 +48,9 @@ WIDEST_READING = 0.05
 """Largest standard deviation of a valid reading, as a share of the leak, or in l/min at 100 bar on the default rig; on
 other rigs it grows with their flow (:func:`~hydro_agents.detection.sheet.leak_scale`)."""
 
-LAP, USUAL_LAP = "valve.overlap", 0.01
-"""The lap of the edges, and its standard deviation where only the rig's own value is known, of full stroke."""
+STEPS_WITH_PART = 25  # largest number of iterations of each fit with a part that an axis may have
 
 LEAST_TRAVEL = 20.0  # smallest travel of an axis in motion, in standard deviations of the position's noise
-
-LEAST_GAIN = 3.0  # of twice the log-likelihood per step of a moving supply, by which its course is believed
 
 LEAST_DEVIATION = 0.1
 """Smallest credible standard deviation of the leak, as a fraction of the healthy bound: the model is not exact."""
@@ -70,7 +72,7 @@ class Wear(NamedTuple):
 WEAR = {
     "valve.null_shift": Wear(Cause.VALVE, "null shift of the valve", 100.0, "% of full stroke"),
     "valve.underlap": Wear(Cause.VALVE, "worn edges of the valve, underlap", 100.0, "%"),
-    "valve.overlap": Wear(Cause.VALVE, "worn edges of the valve, overlap", 100.0, "%"),
+    LAP: Wear(Cause.VALVE, "worn edges of the valve, overlap", 100.0, "%"),
     "valve.rated_flow": Wear(Cause.VALVE, "rated flow of the valve", 1.0 / LITRE_PER_MINUTE, "l/min"),
     "supply.tank_pressure": Wear(Cause.RETURN_LINE, "pressure in the return line", 1e-5, "bar"),
     EXTERNAL_LEAKAGE: Wear(Cause.EXTERNAL_LEAK, Cause.EXTERNAL_LEAK.in_full, 1.0, "l/min at 100 bar"),
@@ -117,10 +119,12 @@ class EstimatorDetector:
         self,
         windows: Windows,
         task: TaskConfig,
+        usual: tuple[Part, ...] = (),
     ) -> tuple[Reading, Estimate | None]:
         """Read windows, and return the estimates with wear as well, one for each window with commands.
 
-        The estimate is ``None`` if there is no such window. Arguments as of :meth:`read`.
+        The estimate is ``None`` if there is no such window. Arguments as of :meth:`read`; ``usual``: parts that this
+        axis had in other windows.
         """
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
@@ -128,13 +132,13 @@ class EstimatorDetector:
         used, expected = windows.part(chosen), task_config(task, **self.changes)
         names, wear = default_unknowns(expected), wear_priors(expected)
         worn = self._estimate(used, expected, (*names, *wear), wear)
-        moves = self._with_moving_supply(used, expected, worn)
+        self._with_parts(used, expected, worn, usual)
         excess = _excess(worn, task)
         value, deviation = worn.value(LEAKAGE).copy(), worn.deviation(LEAKAGE).copy()
         position = used.signal("position")
         travel = np.fmax.reduce(position, axis=1) - np.fmin.reduce(position, axis=1)
         still = travel < LEAST_TRAVEL * task.sensors.position.noise  # it cannot show whether the valve is worn
-        simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still & ~moves)
+        simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still & ~worn.parts.astype(bool))
         if len(simple):
             lap = {name: prior for name, prior in wear.items() if name == LAP}
             plain = self._estimate(used.part(simple), expected, (*names, LAP), lap, (worn, simple), horizons=())
@@ -170,23 +174,37 @@ class EstimatorDetector:
             boundary=windows.boundary,
         )
 
-    def _with_moving_supply(self, windows: Windows, task: TaskConfig, worn: Estimate) -> Mask:
-        """Fit windows whose readings the model does not explain with a supply that moves; returns where it does, (N,).
+    def _with_parts(self, windows: Windows, task: TaskConfig, worn: Estimate, usual: tuple[Part, ...]) -> None:
+        """Fit windows whose readings the model does not explain with parts that it lacks.
 
         The better estimates replace those in ``worn``. A recorded supply moves as recorded.
         """
-        moves = np.zeros(len(windows), dtype=np.bool_)
-        odd = np.flatnonzero(~worn.holds | (worn.slow > 0.0).any(axis=1))
         recorded = bool(np.isfinite(windows.auxiliary_signal("supply_pressure")).any())
-        if recorded or not len(odd):
-            return moves
-        course, part = course_of((windows.samples - 1) * task.control_period), windows.part(odd)
-        names, wear = (*worn.names, *course), wear_priors(task)
-        found = self._estimate(part, task, names, wear, (worn, odd), horizons=(), restarts=0)
-        gain = worn.unlikelihood[odd] - found.unlikelihood
-        better = found.holds & (~worn.holds[odd] | (gain > LEAST_GAIN * len(course)))
-        moves[worn.take(odd, found, better)] = True
-        return moves
+        possible = lacking(task, (windows.samples - 1) * task.control_period, recorded)
+        for row in np.flatnonzero(unexplained(worn)):
+            chosen = np.array([row])
+            fit = partial(self._with_given_parts, windows.part(chosen), task, possible)
+            found = with_parts(worn.part(chosen), possible, usual, fit)
+            worn.take(chosen, found, np.array([bool(found.parts[0])]))
+
+    def _with_given_parts(
+        self,
+        window: Windows,
+        task: TaskConfig,
+        possible: Mapping[Part, Lacking],
+        parts: tuple[Part, ...],
+        begin: Estimate,
+    ) -> Estimate:
+        """The estimate of a window with parts, from another estimate on, unless the model did not hold there."""
+        priors, names = wear_priors(task), begin.names
+        for part in parts:
+            priors |= possible[part].priors
+            names = (*names, *possible[part].priors)
+            task = task_config(task, **possible[part].changes)
+        effort: dict[str, Any] = {"restarts": 0, "iterations": STEPS_WITH_PART}
+        if not begin.holds[0]:
+            return self._estimate(window, task, names, priors, **effort)
+        return self._estimate(window, task, names, priors, (begin, np.array([0])), horizons=(), **effort)
 
 
 def _reading(
@@ -210,7 +228,7 @@ def _reading(
         high_lpm=value + HALF_WIDTH * deviation,
         fault=_in_words(worn, excess > 0.0),
         why=np.select(
-            [~fits, known, still, worn.errors.of_model],
+            [~fits, known, still, worn.of_model],
             [Why.MISFIT, Why.ANSWERED, Why.AT_REST, Why.DIFFERS],
             Why.UNDETERMINED,
         ),
@@ -228,7 +246,7 @@ def wear_priors(task: TaskConfig) -> dict[str, Prior]:
         EXTERNAL_LEAKAGE: Prior(0.0, 1.0),
     }
     if LAP not in task.randomisation:
-        wide[LAP] = Prior(valve.overlap, USUAL_LAP)
+        wide[LAP] = lap_of(task)
     biases = {
         channel: getattr(task.sensors, channel).bias for channel in ("pressure_a", "pressure_b", "spool_position")
     }
@@ -261,6 +279,8 @@ def _excess(found: Estimate, task: TaskConfig) -> Floats:
         if name in found.names:
             value, (low, high) = found.value(name), healthy_range(task, name)
             excess[:, column] = np.maximum(low - value, value - high) / found.deviation(name) - SURE
+            if name == "supply.tank_pressure":  # a supply that moves may take its place
+                excess[[Part.SUPPLY in parts for parts in found.parts], column] = -np.inf
     return np.where(np.isnan(excess), -np.inf, excess)
 
 

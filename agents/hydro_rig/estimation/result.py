@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from hydro_env import ConfigurationError
@@ -39,6 +40,8 @@ class Estimate:
     spikes: Floats  # (B, channels), share of the readings that are spikes, and were left out
     latency: Floats  # (B,), of the command, s
     rise_time: Floats  # (B,), of the pressure transducers, s
+    of_model: Mask  # (B,), whether the slow errors are those of a wrong model
+    parts: NDArray[np.object_]  # (B,), names of the parts that the window shows and its rig's file does not tell
     unlikelihood: Floats  # (B,), twice the negative log-likelihood of the readings with their errors; chi2 without
 
     def __len__(self) -> int:

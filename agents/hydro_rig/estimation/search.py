@@ -29,6 +29,9 @@ SURE = 3.0  # standard deviations of an estimate, beyond which a value is surely
 SMALL_SLOW_ERROR = 3.0  # the same in standard deviations of the data sheet's noise, which is always allowed
 
 
+SPIKE_COST = 15.0
+"""Twice the negative log-likelihood of a spike: one reading of a hundred, anywhere within a hundred deviations."""
+
 OF_A_BEGINNING = Effort(6, 5.0, LONG_STEP, thorough=False)  # of each fit of a beginning
 LARGEST_MISFIT = 4.0  # standard deviations of chi2; above this the model is not valid
 
@@ -124,7 +127,7 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
     if LEAKAGE in names:  # a leak that is surely negative stands for an error of the model
         again.holds[:] &= again.value(LEAKAGE) + SURE * again.deviation(LEAKAGE) >= 0.0
     again.spikes[:] = spikes.sum(axis=2) / np.maximum(readable.sum(axis=2), 1)
-    again.unlikelihood[:] = unlikelihood
+    again.unlikelihood[:] = unlikelihood + SPIKE_COST * spikes.sum(axis=(1, 2))
     found.take(odd, again, np.ones(len(odd), np.bool_))
 
 
@@ -175,10 +178,10 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
     errors = problem.errors or Errors.of_data_sheet(*linear.known.shape[:2])
     covariance = doubtful = linear.covariance(problem.belief)
     if problem.errors is not None:
-        count = linear.known.sum(axis=2)
-        as_white = problem._replace(errors=errors.as_white(count)).linearised(scaled, directions)
+        count, samples = linear.known.sum(axis=2), linear.known.shape[2]
+        as_white = problem._replace(errors=errors.as_white(count, samples)).linearised(scaled, directions)
         by_data_sheet = problem._replace(errors=None).linearised(scaled, directions).covariance(problem.belief)
-        square = errors.of_model * (count * errors.slow**2).sum(axis=1)
+        square = errors.of_model(samples) * (count * errors.slow**2).sum(axis=1)
         doubtful = as_white.covariance(problem.belief) + (square / HALF_WIDTH**2)[:, None, None] * by_data_sheet
     values = model.values(scaled)
     timing: dict[str, Any] = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
@@ -205,5 +208,7 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
         spikes=np.zeros_like(errors.white),
         latency=np.full(len(scaled), timing[LATENCY]),
         rise_time=np.full(len(scaled), timing[RISE_TIME]),
+        of_model=errors.of_model(linear.known.shape[2]),
+        parts=np.fromiter([()] * len(scaled), np.object_),
         unlikelihood=chi2,
     )

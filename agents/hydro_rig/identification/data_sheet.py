@@ -6,6 +6,7 @@ explain.
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +64,12 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
         task: as the estimate assumed it.
     """
     end = "used" if found.holds.any() else "the model still does not hold"
-    findings = []
+    shown_parts = Counter(part for parts in found.parts for part in parts)
+    findings = [
+        Finding("model", f"shows {part} that the rig's file does not tell: {end}", Weight.NOTE)
+        for part, count in shown_parts.items()
+        if count >= MOST_DIFFER * len(found)
+    ]
     for signal, kind, size in _odd(found, task):
         if kind == "spikes":
             findings.append(Finding(signal, "has spikes: left out", Weight.NOTE, share=size))
@@ -77,7 +83,7 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
         else:
             what = f"differs slowly from the model, by {_size(signal, size, task)}"
         findings.append(Finding(signal, f"{what}: {end}", Weight.NOTE))
-    if found.holds.any() and found.errors.of_model[found.holds].mean() >= MOST_DIFFER:
+    if found.holds.any() and found.of_model[found.holds].mean() >= MOST_DIFFER:
         findings.append(Finding("model", "differs slowly from several signals, which can hide a leak", Weight.DOUBT))
     return findings
 

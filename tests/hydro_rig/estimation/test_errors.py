@@ -64,7 +64,7 @@ def test_no_combination_of_readings_is_less_sure_than_with_the_white_noise_that_
     lags = np.abs(np.subtract.outer(np.arange(400), np.arange(400)))
     errors = Errors(np.array([[0.7]]), np.array([[1.9]]), np.array([[memory]]))
     largest = np.linalg.eigvalsh(1.9**2 * np.exp(-lags / memory) + 0.7**2 * np.eye(400)).max()
-    assert errors.as_white(np.array([[400.0]])).white[0, 0] ** 2 > largest
+    assert errors.as_white(np.array([[400.0]]), 400).white[0, 0] ** 2 > largest
 
 
 def test_the_likelihood_is_that_of_the_normal_distribution():
