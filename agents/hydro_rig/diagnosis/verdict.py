@@ -91,7 +91,9 @@ class Verdict(NamedTuple):
         if self.kind is Kind.LEAK:
             return "; ".join(filter(None, [f"{self.kind.value} of {size}", self.why]))
         seal = f"leak past the piston {size}"
-        return f"healthy: {seal}" if self.kind is Kind.HEALTHY else f"{line}; {seal}"
+        if self.kind is Kind.HEALTHY:
+            return ", ".join(filter(None, [f"{self.kind.value}: {seal}", self.why]))
+        return f"{line}; {seal}"
 
 
 @dataclass(frozen=True)
@@ -239,15 +241,18 @@ def leaks_in_a_part(case: Case) -> Verdict | None:
 
 
 def tight(case: Case) -> Verdict:
-    """What is left → healthy; cannot tell if neither pressure was recorded, or if the model differs slowly."""
+    """What is left → healthy; where the model differs slowly, the interval holds the largest leak that this hides.
+
+    Cannot tell if neither pressure was recorded, or if the model differs slowly and another fault would fit.
+    """
     doubt = "; ".join(case.of_weight(Weight.DOUBT))
     if case.blind:
-        doubt = "without pressures a faulty seal can look healthy; record one pressure at least"
-    elif doubt:
-        doubt = f"the {doubt}"
-    if doubt:
-        return case.answer(Kind.UNKNOWN, f"the leak past the piston is {case.leak.text()}, but {doubt}")
-    return case.answer(Kind.HEALTHY)
+        why = "without pressures a faulty seal can look healthy; record one pressure at least"
+    elif doubt and named_fault(case.reading):
+        why = f"the {doubt}, or another fault"
+    else:
+        return case.answer(Kind.HEALTHY, f"although the {doubt}" if doubt else "")
+    return case.answer(Kind.UNKNOWN, f"the leak past the piston is {case.leak.text()}, but {why}")
 
 
 RULES = (severe_finding, other_rig, no_size, leaks, other_fault, both_fit, leaks_in_a_part)

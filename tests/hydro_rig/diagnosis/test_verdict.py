@@ -63,7 +63,7 @@ CASES = {
     ),
     "model misfits an axis that oscillates": ([OSCILLATES], misfit(), None, Kind.UNKNOWN, "axis oscillates at 18 Hz"),
     "notes change nothing": ([NOTE], LEAK, None, Kind.LEAK, ""),
-    "differs slowly, seems tight": ([DIFFERS], HEALTHY, None, Kind.UNKNOWN, "but the model differs slowly"),
+    "differs slowly, seems tight": ([DIFFERS], HEALTHY, None, Kind.HEALTHY, "although the model differs slowly"),
     "differs slowly, a fault would fit": (
         [DIFFERS],
         reading(0.01, 0.01, cause=Cause.RETURN_LINE, fault="pressure in the return line"),
