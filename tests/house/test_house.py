@@ -40,9 +40,9 @@ ROOMS = (
 
 BUDGET = {
     "hydro_env": 63_100,
-    "hydro_agents": 113_700,
-    "hydro_rig": 102_100,
-    "tests": 191_500,
+    "hydro_agents": 114_300,
+    "hydro_rig": 115_600,
+    "tests": 199_400,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 
