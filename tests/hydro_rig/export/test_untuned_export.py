@@ -53,7 +53,7 @@ def in_c(folder, task, tmp_path_factory):
 
 
 def test_it_is_made_for_this_rig_and_timing_with_the_gains_for_any(folder, task):
-    page = (folder / "README.md").read_text(encoding="utf-8")
+    page = " ".join((folder / "README.md").read_text(encoding="utf-8").split())
     assert "every 2.0 ms" in page
     assert "from 0.6 ms after it" in page
     assert "Origin: gains for any rig, which nobody tuned for this one." in page
