@@ -39,7 +39,15 @@ def test_errors_are_those_of_the_sensor_and_a_failure_costs_the_stroke():
 def test_the_summary_compares_rig_by_rig():
     rows = pd.DataFrame(
         [
-            {"rig": rig, "controller": name, "error_um": error, "travel": 1.0, "failures": 0, "limit_cycles": cycles}
+            {
+                "rig": rig,
+                "controller": name,
+                "error_um": error,
+                "travel": 1.0,
+                "failures": 0,
+                "limit_cycles": cycles,
+                "ringing": cycles,
+            }
             for rig, own in ((0, 10.0), (1, 30.0))
             for name, error, cycles in ((UNTUNED, own, 0), (SEARCHED, 2.0 * own, 3), (POLICY, 3.0, 0))
         ]

@@ -17,7 +17,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-import hydro_agents
 import hydro_env
 from hydro_agents.controllers.registry import CONTROLLERS
 from hydro_agents.learning.stable_gain import pids_from_figures
@@ -94,8 +93,7 @@ def searches_folder() -> Path:
 def source_digest() -> str:
     """Digest of all sources on which a search depends."""
     digest = hashlib.sha256()
-    for package in (hydro_env, hydro_agents):
-        folder = Path(package.__path__[0])
+    for folder in (Path(hydro_env.__file__).parent, Path(__file__).parents[1]):
         for file in sorted(folder.rglob("*.py")):
             digest.update(file.read_bytes())
     return digest.hexdigest()

@@ -162,10 +162,11 @@ def test_a_training_may_begin_with_weights_and_teach_its_critic_first(policy, tm
         train_policy(TASK, wider, untuned(TASK))
 
 
-def test_a_search_prefers_gains_that_come_to_rest_to_slightly_better_ones(monkeypatch):
+def test_a_search_prefers_gains_that_come_to_rest_to_slightly_better_ones(monkeypatch, tmp_path):
     calm, task = FlowLinearisingGains(), RIGS[1]
     wild = calm.model_copy(update={"position_gain": 20.0 * calm.position_gain})
     for better, taken in ((0.95, calm), (0.1, wild)):
+        monkeypatch.setenv(rig_gains.SEARCHES, str(tmp_path / str(better)))
         costs = {calm: 1.0, wild: better}
         monkeypatch.setattr(rig_gains, "_FOUND", {})
         monkeypatch.setattr(rig_gains, "chosen_gains", lambda *_: calm)
