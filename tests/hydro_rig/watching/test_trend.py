@@ -341,10 +341,10 @@ def test_silence_is_told_with_its_exit_code_on_console_page_and_in_json(tmp_path
     monkeypatch.setattr(job, "time", lambda: START + 8.5 * DAY)
     assert hydro(*line).returncode == 0
     monkeypatch.setattr(job, "time", lambda: START + 54.0 * DAY)
-    written(folder, "one/09.csv.gz")
+    written(folder, "one/09.rtf")
     stale = hydro(*line)
     assert stale.returncode == 14
-    assert "hydro: left out: files that are no recordings: 1 .gz" in stale.stderr
+    assert "hydro: left out: files that are no recordings: 1 .rtf" in stale.stderr
     assert stale.stdout.count("stale (no reading within 3 d); leak 0.05") == 2
     recordings(folder, 10, broken=[("one", 9)], axes=("one",))
     recordings(folder, 1, broken=[("new", 0)], axes=("new",))
