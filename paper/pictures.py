@@ -18,7 +18,7 @@ from paper.force_rate import DRAWN, DRIVE, TERMS
 from paper.loop import NYQUIST
 from paper.moves import FIRST_STOP
 from paper.rig import FEW_LEAKS, LAWS, LEAKS, VOLTAGE, flow
-from paper.settling import FRICTION_SHARES, SCAN_LEAKS, friction_words
+from paper.settling import friction_words
 
 ENLARGED = (0.01, 1.0, 4.0)
 """Leaks whose stop is enlarged."""
@@ -151,16 +151,3 @@ def paint_closed_bode(table: pd.DataFrame) -> list[Axes]:
     gain.axhline(math.sqrt(0.5), color=GREY, linewidth=0.7)
     phase.set(xlabel="frequency, Hz", ylabel="phase, degrees")
     return legend_below([gain, phase], 5)
-
-
-def paint_friction_scan(table: pd.DataFrame) -> list[Axes]:
-    """Settling time over friction."""
-    axes = grid(1, 1, 3.6)[0, 0]
-    drawn = table.assign(percent=100.0 * table["friction_share"])
-    leak_lines(axes, drawn, "percent", "settling_s", SCAN_LEAKS, mark=True)
-    shares = [100.0 * share for share in FRICTION_SHARES]
-    axes.set_xscale("symlog", linthresh=shares[1], linscale=0.3)
-    axes.set_xticks(shares, [setting(share) for share in shares])
-    axes.set(yscale="log", xlabel="friction, % of what is assumed", ylabel="settling time, s")
-    axes.set_yticks(SECONDS, [setting(tick) for tick in SECONDS])
-    return [axes]

@@ -53,14 +53,6 @@ def simplified(parameters: PlantParameters, friction: str, underlap: bool) -> Pl
     return parameters.replace(**changes)
 
 
-def with_friction_share(base: PlantParameters, share: float) -> PlantParameters:
-    """The plant with its friction forces times ``share``."""
-    if share == 0.0:  # no model accepts zero forces
-        return base.replace(friction={"model": "none"})
-    forces = ("coulomb_force", "breakaway_force")
-    return base.replace(friction={name: share * getattr(base.friction, name) for name in forces})
-
-
 def quick_stop(parameters: PlantParameters) -> Trajectory:
     """Extend from the start, then 0 V. Time 0 of the result is the command to stop.
 

@@ -20,8 +20,7 @@ from paper import pictures, verdicts
 from paper.force_rate import force_rate_table, share_table
 from paper.loop import GAIN_MARGIN, closed_bode_table, sensible_gain
 from paper.moves import displacement_table
-from paper.rig import PLANT
-from paper.settling import friction_scan_table, settling_table
+from paper.settling import settling_table
 
 PAGE_FILE = "page.html"
 EQUATIONS_FILE = "equations.csv"
@@ -74,22 +73,14 @@ FIGURES = (
         "P_b − P_a. Equations (19), (20), (23), (24).",
     ),
     Entry(
-        "section4_throttle",
-        "Section 4: the same with a throttle",
-        partial(force_rate_table, "throttle"),
-        pictures.paint_force_rate,
-        verdicts.throttle,
-        "The paper writes a laminar leak, but its rig leaks through a throttle, Q_i = K_i √ΔP.",
-    ),
-    Entry(
         "section4_share",
         "Section 4: leakage’s share against the pressure difference",
         share_table,
         pictures.paint_share,
         verdicts.share,
         "The move and the stop of the two figures above. Share: sum of |internal leakage term| over the sum of all "
-        "four sizes, by |P_a − P_b|. A throttle leaks most steeply where the difference is small. Equations (10), "
-        "(24).",
+        "four sizes, by |P_a − P_b|. The paper writes a laminar leak, but its rig leaks through a throttle, Q_i = "
+        "K_i √ΔP, most steeply where the difference is small. Equations (10), (24).",
     ),
     Entry(
         "bode_closed_loop",
@@ -100,15 +91,6 @@ FIGURES = (
         f"Proportional controller with half of the largest gain (1/{GAIN_MARGIN:g}) that is stable over the reach with "
         f"a tight seal; position sampled every {1e3 * CONTROL_PERIOD:g} ms, command {1e3 * COMMAND_LATENCY:g} ms late; "
         "linearised at +20 mm, laminar leak, no dry friction. The oil column causes the second peak.",
-    ),
-    Entry(
-        "friction_scan",
-        "How much friction hides the trend of Fig. 13",
-        friction_scan_table,
-        pictures.paint_friction_scan,
-        verdicts.friction_scan,
-        f"Quick stop as for Fig. 13, laminar leak, both forces of the friction scaled together "
-        f"({PLANT.friction.coulomb_force:g} N Coulomb at 100 %).",
     ),
 )
 

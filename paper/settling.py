@@ -1,10 +1,9 @@
-"""Fig. 13: settling time after a quick stop over the leak, and the friction that hides its trend."""
+"""Fig. 13: settling time after a quick stop over the leak."""
 
 from __future__ import annotations
 
 import math
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,34 +11,19 @@ import pandas as pd
 from hydro_env import PlantParameters, Trajectory, resistance_from_flow
 from hydro_env.plant.linearisation import Mode, linearise
 from hydro_env.plant.states import STATE_NAMES
-from paper.rig import LAWS, PLANT, TIGHT, Law, quick_stop, simplified, with_friction_share, with_leak
+from paper.rig import LAWS, PLANT, TIGHT, Law, quick_stop, simplified, with_leak
 from paper.signals import SETTLED, band_envelope, last_above, recorded_acceleration, swing_envelope
 
 FRICTION_MODELS = ("none", "stribeck", "lugre")
 """``friction.model`` of each column of the figure; one more entry is one more column."""
 
-FRICTION_SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Friction of the scan relative to the assumed friction."""
-
 SETTLING_LEAKS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
-SCAN_LEAKS = (0.01, 0.1, 0.3, 1.0, 4.0)
-"""l/min at 100 bar, of Fig. 13 and of the scan of frictions."""
+"""l/min at 100 bar."""
 
 NOISE_SEEDS = range(5)
 EDGE = 0.1  # s at the end of the record, where the filter of the noisy signal has no future
 RING_DOWN = (0.02, 0.10)  # s after the stop command; the state of the linear theory is the mean over it
 FIRST_SWINGS = 0.05  # s after the stop command
-
-
-class Settling(NamedTuple):
-    """Settling of one quick stop, by the columns of its table; seconds from the command to stop."""
-
-    clean_s: float  # of the noise-free acceleration
-    theory_s: float  # linear theory; NaN with friction
-    naive_s: float  # last |a| above the level, including the drift
-    natural_frequency_rad_s: float  # of the linearised axis; NaN where it does not oscillate
-    damping_ratio: float
-    first_swing_m_s2: float  # largest after the stop
 
 
 def friction_words(model: str) -> str:
@@ -62,25 +46,21 @@ def oscillation_mode(run: Trajectory) -> Mode | None:
         return None
 
 
-def settling_of(run: Trajectory, reference_frequency: float) -> Settling:
-    """Settling times of one quick stop; the drift is the mean over one period of ``reference_frequency`` (rad/s)."""
+def settling_of(run: Trajectory, reference_frequency: float) -> tuple[float, float]:
+    """Settling time of one quick stop, s, noise-free, and by linear theory: NaN with friction.
+
+    The drift is the mean over one period of ``reference_frequency`` (rad/s).
+    """
     after = run.time >= 0.0
     time, acceleration = run.time[after], run.acceleration[after]
     swing = swing_envelope(time, acceleration, reference_frequency)
     first = int(np.argmax(swing[time <= FIRST_SWINGS]))
-    mode = oscillation_mode(run)
+    mode = oscillation_mode(run) if run.parameters.friction.model == "none" else None
     theory = math.nan
-    if mode is not None and run.parameters.friction.model == "none":
+    if mode is not None:
         decay = mode.damping_ratio * mode.natural_frequency
         theory = float(time[first]) + math.log(max(float(swing[first]) / SETTLED, 1.0)) / decay
-    return Settling(
-        last_above(time, swing),
-        theory,
-        last_above(time, np.abs(acceleration)),
-        mode.natural_frequency if mode else math.nan,
-        mode.damping_ratio if mode else math.nan,
-        float(swing[first]),
-    )
+    return last_above(time, swing), theory
 
 
 def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int) -> float:
@@ -115,7 +95,7 @@ def settling_table(leaks: tuple[float, ...] = SETTLING_LEAKS) -> pd.DataFrame:
 
 def _row(plant: PlantParameters, law: Law, leak: float) -> dict[str, float | str | bool]:
     run, frequency = quick_stop(with_leak(plant, leak, law)), healthy_frequency()
-    settling = settling_of(run, frequency)
+    clean, theory = settling_of(run, frequency)
     from_signal = [settling_from_signal(run, frequency, seed) for seed in NOISE_SEEDS]
     return {
         "friction": plant.friction.model,
@@ -123,11 +103,11 @@ def _row(plant: PlantParameters, law: Law, leak: float) -> dict[str, float | str
         "law": law,
         "leak_lpm": leak,
         "resistance_pa_s_m3": resistance_from_flow(leak),
-        "clean_s": settling.clean_s,
+        "clean_s": clean,
+        "theory_s": theory,
         "signal_s": float(np.median(from_signal)),
         "signal_low_s": min(from_signal),
         "signal_high_s": max(from_signal),
-        **settling._asdict(),
     }
 
 
@@ -140,16 +120,3 @@ def trends(table: pd.DataFrame) -> pd.DataFrame:
     times = table.pivot(index=names, columns="leak_lpm", values="clean_s")
     times = times.reindex(table[names].drop_duplicates().itertuples(index=False, name=None))
     return times.assign(falls=(times.diff(axis=1).iloc[:, 1:] < 0).all(axis=1))
-
-
-def friction_scan_table(
-    leaks: tuple[float, ...] = SCAN_LEAKS, shares: tuple[float, ...] = FRICTION_SHARES
-) -> pd.DataFrame:
-    """Settling time (s) of the quick stop over friction and leak; laminar leak."""
-    rows = []
-    for leak in leaks:
-        for share in shares:
-            run = quick_stop(with_leak(with_friction_share(PLANT, share), leak, "laminar"))
-            time = settling_of(run, healthy_frequency()).clean_s
-            rows.append({"friction_share": share, "leak_lpm": leak, "settling_s": time})
-    return pd.DataFrame(rows)

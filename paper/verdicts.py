@@ -12,7 +12,7 @@ from hydro_agents.running.text import number, span
 from paper.force_rate import shares
 from paper.loop import closed_bode_summary
 from paper.moves import displacement_summary
-from paper.rig import LAWS, MODERATE, PLANT, SEVERE, TIGHT, flow
+from paper.rig import LAWS, MODERATE, SEVERE, TIGHT, flow
 from paper.settling import friction_words, trends
 
 YES, PART, NO = "comes out", "in part", "not"
@@ -136,11 +136,6 @@ def terms(table: pd.DataFrame) -> Shown:
     return Shown(pd.DataFrame(merged), verdicts)
 
 
-def throttle(table: pd.DataFrame) -> Shown:
-    """The same with a throttle, which the paper has no conclusion on."""
-    return terms(table)._replace(verdicts=())
-
-
 def share(table: pd.DataFrame) -> Shown:
     """Section 4: leakage's share at the lowest and at the highest pressure difference."""
     ends = table.groupby(["law", "leak_lpm"], sort=False).agg(["first", "last"])
@@ -201,17 +196,3 @@ def closed_loop(table: pd.DataFrame) -> Shown:
         "largest_gain_per_m": "largest stable gain here, 1/m",
     }
     return Shown(by_leak(summary, columns), verdicts)
-
-
-def friction_scan(table: pd.DataFrame) -> Shown:
-    """Settling times over friction with a tight seal and a moderate leak."""
-    scan = table.pivot(index="friction_share", columns="leak_lpm", values="settling_s")
-    shown = pd.DataFrame(
-        {
-            "Coulomb force, N": scan.index * PLANT.friction.coulomb_force,
-            f"settling at {flow(TIGHT)}, s": scan[TIGHT],
-            f"at {flow(MODERATE)}, s": scan[MODERATE],
-            "ratio": scan[TIGHT] / scan[MODERATE],
-        }
-    )
-    return Shown(shown.set_axis(100.0 * scan.index, axis=0))
