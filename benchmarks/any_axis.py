@@ -2,8 +2,9 @@
 
     python benchmarks/any_axis.py [--weights WEIGHTS] [--rigs 100] [--first 800] [--tuned FOLDER] [--split test]
                                   [--seconds 2] [--output FILE] [--controller NAME] [--structure]
-    python benchmarks/any_axis.py --rig kovari_2015 --rig my.yaml
+    python benchmarks/any_axis.py --rig kovari_2015 my.yaml
 
+``--controller`` judges it and the untuned one alone, ``--structure`` rigs with loads that bend, waves, sharp edges.
 Errors are those in the sensor's frame, every family of references weighing the same; a failed axis is wrong by its
 stroke for the rest of the episode. ``--tuned`` adds gains tuned for each rig, as ``benchmarks/no_tuning.py`` does. The
 file of rows is the checkpoint: a later call continues it, with more rigs if asked; other weights, splits, seconds or
@@ -12,7 +13,6 @@ controllers need a file of their own.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from benchmarks import command_line
 from benchmarks.kept_rows import kept_rows
 from benchmarks.no_tuning import tuned_for
 from hydro_agents.controllers.base import Controller
@@ -163,19 +164,20 @@ def against(rows: pd.DataFrame) -> Iterator[list[str]]:
 
 def main() -> None:
     """Judge the policy on the rigs, and print the summary."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--weights", default=str(pretrained_folder() / "policy_any_axis"))
-    parser.add_argument("--rigs", type=int, default=100)
-    parser.add_argument("--split", default="test", choices=("training", "validation", "test"))
-    parser.add_argument("--rig", action="append", help="instead of drawn ones; repeat for several")
-    parser.add_argument("--first", type=int, default=0, help="number of the first rig")
-    parser.add_argument("--structure", action="store_true", help="rigs with loads that bend, waves, sharp edges")
-    parser.add_argument("--tuned", type=Path, help="folder for gains of each rig: minutes per rig")
-    parser.add_argument("--seconds", type=float, default=2.0, help="of each episode")
-    parser.add_argument("--output", type=Path, default=Path("results/any_axis.csv"))
-    parser.add_argument("--controller", action="append", default=[], help="judge it and the untuned one alone; repeat")
-    parser.add_argument("--jobs", type=int, default=2)
-    given = parser.parse_args()
+    given = command_line(
+        __doc__,
+        weights=str(pretrained_folder() / "policy_any_axis"),
+        rigs=100,
+        split=("test", "validation", "training"),
+        rig=[],
+        first=0,
+        structure=False,
+        tuned=Path,
+        seconds=2.0,
+        output=Path("results/any_axis.csv"),
+        controller=[],
+        jobs=2,
+    )
     structure = STRUCTURE if given.structure else {}
     law = {"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": [], "structure": structure}
     tasks = [task_config(rig=rig) for rig in given.rig] if given.rig else rig_tasks(task_config(law=law))

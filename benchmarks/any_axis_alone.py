@@ -9,7 +9,6 @@ is kept in ``--output``; a later call only judges it.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 import pandas as pd
 from sb3_contrib import RecurrentPPO
 
+from benchmarks import command_line
 from benchmarks.any_axis import UNTUNED, families_and_leaks
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.vec_env import AxisVecEnv
@@ -69,14 +69,9 @@ def error(controller: Any, config: TaskConfig, rig: TaskConfig) -> tuple[float, 
 
 def main() -> None:
     """Train it if it is not there, judge it, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=4_000_000)
-    parser.add_argument("--rigs", type=int, default=20)
-    parser.add_argument("--split", default="test", choices=("training", "validation", "test"))
-    parser.add_argument("--first", type=int, default=300)
-    parser.add_argument("--sheet", choices=("yes", "no"), default="yes")
-    parser.add_argument("--output", type=Path, default=Path("results/any_axis_alone/policy.zip"))
-    given = parser.parse_args()
+    splits = ("test", "validation", "training")
+    output = Path("results/any_axis_alone/policy.zip")
+    given = command_line(__doc__, steps=4_000_000, rigs=20, split=splits, first=300, sheet=("yes", "no"), output=output)
     policy = trained(given.output, given.steps, given.sheet == "yes")
     rows = []
     for number in range(given.first, given.first + given.rigs):

@@ -9,13 +9,13 @@ Run: python -m benchmarks.best_found [--task NAME|FILE] [--plants 3] [--leak 0.0
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import command_line
 from hydro_agents.evaluation.evaluate import evaluate
 from hydro_agents.evaluation.metrics import ERROR, ERROR_SENSOR
 from hydro_agents.evaluation.participants import shipped_controllers
@@ -331,11 +331,7 @@ def _agreed(a: Floats, b: Floats) -> Floats:
 
 def main() -> None:
     """Compare the shipped controllers with the best found, and print mean errors by family and by leak."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task")
-    parser.add_argument("--plants", type=int, default=3)
-    parser.add_argument("--leak", type=float, nargs="+", default=[0.01, 0.3, 1.0, 4.0], help="l/min at 100 bar")
-    given = parser.parse_args()
+    given = command_line(__doc__, task=str, plants=3, leak=[0.01, 0.3, 1.0, 4.0])
     task = task_config(given.task)
     size = {"plants": given.plants, "leak_levels": given.leak, "standstill_plants": 0}
     controllers = {**shipped_controllers(task), "best found": BestFound(task)}

@@ -2,14 +2,13 @@
 
 Run: python benchmarks/diagnosis.py [--only faults sensors] [--share 1.0]
 
-Each recording lasts 4 s (two windows), has a test seed of its own, and takes the whole way: file, checks, both
-detectors, verdict. The shipped PID moves the axis; plant and family of references are drawn from the default task.
-Recordings with errors of every kind: hostile_inputs.py.
+``--share`` of the recordings, for a quick look. Each lasts 4 s (two windows), has a test seed of its own, and takes the
+whole way: file, checks, both detectors, verdict. The shipped PID moves the axis; plant and family of
+references are drawn from the default task. Recordings with errors of every kind: hostile_inputs.py.
 """
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -19,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from benchmarks import command_line
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.folders import pretrained_folder
@@ -107,19 +107,16 @@ def row(axis: Axis, found: list[Verdict]) -> str:
 
 def main() -> None:
     """Print the tables that are asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="+", choices=list(TABLES), default=list(TABLES))
-    parser.add_argument("--share", type=float, default=1.0, help="of the recordings, for a quick look")
-    arguments = parser.parse_args()
+    given = command_line(__doc__, only=TABLES, share=1.0)
     head, skip = LeakageHead.load(pretrained_folder() / "leakage_head"), 0
     with tempfile.TemporaryDirectory() as folder:
         for name, axes in TABLES.items():
-            if name in arguments.only:
+            if name in given.only:
                 print(f"\n{name}\n\n| axis | recordings | verdicts | size error, median | interval holds |", flush=True)
                 print("|---|---:|---|---:|---:|", flush=True)
             for axis in axes:
-                if name in arguments.only:
-                    count = max(round(arguments.share * axis.recordings), 1)
+                if name in given.only:
+                    count = max(round(given.share * axis.recordings), 1)
                     seeds = DIAGNOSIS.take(count, skip)
                     found = diagnosed(axis, seeds, head, Path(folder))
                     print(row(axis, found), flush=True)

@@ -2,7 +2,7 @@
 
     pip install "hydro_env[foreign]"
     python -m benchmarks.foreign_plants [--plants slide rigid_crane flexible_crane flexible_crane_told]
-        [--controllers flow_linearising searched pid policy leak] [--leaks 0.01 1] [--output results/foreign_plants]
+        [--controllers flow_linearising searched pid policy leak] [--output results/foreign_plants]
 
 Rigs come from nameplates alone, as ``hydro new-rig`` makes them; what Exudyn simulates differs from them as usual
 machines do. ``flexible_crane_told`` is the flexible crane whose nameplates name the frequency of its structure.
@@ -12,7 +12,6 @@ later call computes what is missing.
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import itertools
 import math
@@ -24,6 +23,7 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import expm
 
+from benchmarks import command_line
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.own_loop import OwnLoop
@@ -348,15 +348,10 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
 
 def main() -> None:
     """Compute what is missing, and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--plants", nargs="+", choices=PLANTS, default=list(PLANTS))
-    parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=list(CONTROLLERS))
-    parser.add_argument("--leaks", nargs="+", type=float, choices=LEAKS, default=list(LEAKS), help="l/min at 100 bar")
-    parser.add_argument("--output", type=Path, default=Path("results/foreign_plants"), help="folder")
-    parser.add_argument("--jobs", type=int, default=1)
-    given = parser.parse_args()
+    chosen = {"plants": PLANTS, "controllers": dict.fromkeys(CONTROLLERS)}
+    given = command_line(__doc__, **chosen, output=Path("results/foreign_plants"), jobs=1)
     cases = sorted(itertools.product(LEAKS, CONTROLLERS, PLANTS), key=lambda case: case[1] == LEAK)  # it takes longest
-    asked = set(itertools.product(given.leaks, given.controllers, given.plants))
+    asked = set(itertools.product(LEAKS, given.controllers, given.plants))
     wanted = [number for number, case in enumerate(cases) if case in asked]
 
     def rows_of(number: int) -> list[dict[str, Any]]:

@@ -1,31 +1,30 @@
-"""What ``hydro diagnose`` answers on 456 recordings that are mangled as maintenance people export them.
+"""What ``hydro diagnose`` answers on 300 recordings that are mangled as maintenance people export them.
 
-Run: python benchmarks/hostile_inputs.py FOLDER [--jobs 2]
+Run: python benchmarks/hostile_inputs.py FOLDER [--jobs 1]
 
-``hostile_recordings.py`` lists the ways. ``recordings.csv`` in the folder holds every case; those in it are left out.
+``hostile_recordings.py`` lists the ways. ``cases.csv`` in the folder holds every case; those in it are left out.
 Where the message advises something that the map or the command can say, the recording is read again with the advice
 followed, as a reader of the message would. Verdict, leak and causes come from the diagnosis; only advice is text.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
-import pickle
 import re
-import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import joblib
 import pandas as pd
 import yaml
 
-from benchmarks.hostile_changes import Mangling
+from benchmarks import command_line
 from benchmarks.hostile_recordings import manglings
+from benchmarks.kept_rows import kept_rows
+from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.learning.loading import shipped
 from hydro_env import HydroError, TaskConfig
@@ -35,7 +34,6 @@ from hydro_rig.estimation.estimator import WEAR
 from hydro_rig.recordings.columns import own_map, read_map
 from hydro_rig.recordings.files import read_columns
 from hydro_rig.recordings.findings import Weight, lines_of
-from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.simulated import record_axis
 
 TASK = TaskConfig(episode_duration=10.0)
@@ -45,7 +43,6 @@ MOST_ADVICE = 3  # times that advice is followed on the way to an answer
 REFUSED = "refused"  # as kind of an answer
 OUTCOMES = ["traceback", "healthy called leaking", "leaking called healthy", "wrong cause", "wrong size", "cannot tell"]
 WRONG = OUTCOMES[:5]
-ROW = ["axis", "leak", "kind", "mangling", "advice", "outcome", "verdict", "causes", "value", "low", "high", "seconds"]
 
 
 class Answer(NamedTuple):
@@ -96,31 +93,25 @@ def causes_of(diagnosis: Diagnosis) -> frozenset[str]:
     return frozenset(named | {name for name, what in unknowns.items() if what in verdict.why})
 
 
-class Reader:
-    """Diagnoses recordings; what was read alike before has the answer of before."""
+@cache
+def head() -> LeakageHead:
+    """The head of the command, read once in each process."""
+    return load_head(None, TASK)
 
-    def __init__(self) -> None:
-        self._companion = load_head(None, TASK)
-        self._known: dict[bytes, Answer] = {}
 
-    def answer(self, file: Path, columns: Path | None, window: float) -> Answer:
-        """The answer of the command with a map and a length of windows in s."""
-        said = io.StringIO()
-        try:
-            with contextlib.redirect_stderr(said):
-                given = None if columns is None else read_map(columns)
-                key = pickle.dumps((read_recording(file, given)._replace(source=""), window))
-                if key not in self._known:
-                    diagnosis = diagnose(file, TASK, self._companion, given, window)
-                    lines = lines_of(diagnosis.checked.findings)
-                    verdict = diagnosis.verdict
-                    text = "\n".join([verdict.why, *lines])
-                    self._known[key] = Answer(verdict.kind.value, causes_of(diagnosis), verdict.leak, text)
-                return self._known[key]
-        except HydroError as error:
-            return Answer(REFUSED, text=str(error))
-        except Exception:
-            return Answer("traceback", text=traceback.format_exc()[-500:])
+def answer_of(file: Path, columns: Path | None, window: float) -> Answer:
+    """The answer of the command with a map and a length of windows in s."""
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):
+            given = None if columns is None else read_map(columns)
+            diagnosis = diagnose(file, TASK, head(), given, window)
+    except HydroError as error:
+        return Answer(REFUSED, text=str(error))
+    except Exception:
+        return Answer("traceback", text=traceback.format_exc()[-500:])
+    verdict = diagnosis.verdict
+    text = "\n".join([verdict.why, *lines_of(diagnosis.checked.findings)])
+    return Answer(verdict.kind.value, causes_of(diagnosis), verdict.leak, text)
 
 
 def followed(answer: Answer, columns: Mapping[str, Any], window: float) -> tuple[dict[str, Any], float, str]:
@@ -147,22 +138,21 @@ def followed(answer: Answer, columns: Mapping[str, Any], window: float) -> tuple
     return changed, window, ", ".join(sorted(set(advice)))
 
 
-def cases_of(reader: Reader, folder: Path, name: str, mangling: Mangling, axis: tuple[int, float]) -> list[list[Any]]:
-    """One row for the recording as it is, and one more each time that new advice is followed."""
-    (seed, leak), rows = axis, []
-    table = pd.read_csv(folder / f"axis_{seed}_{leak:g}.csv", comment="#")
-    file, place = folder / f"mangled_{seed}_{leak:g}.{mangling.ending}", folder / f"map_{seed}_{leak:g}.yaml"
-    file.write_bytes(mangling.write(mangling.change(table)))
+def rows_of(case: int, folder: Path) -> Iterator[dict[str, Any]]:
+    """One row for a recording as it is, and one more each time that new advice is followed."""
+    (seed, leak), ways = AXES[case % len(AXES)], list(manglings().items())
+    name, mangling = ways[case // len(AXES)]
+    recording, place = folder / f"axis_{seed}_{leak:g}.csv", folder / f"map_{case}.yaml"
+    file = folder / f"mangled_{case}.{mangling.ending}"
+    file.write_bytes(mangling.write(mangling.change(pd.read_csv(recording, comment="#"))))
     columns: dict[str, Any] | None = None
     window, advice, taken = 2.0, "", []
     for _ in range(1 + MOST_ADVICE):
-        begin = time.perf_counter()
-        answer = reader.answer(file, None if columns is None else place, window)
-        judged = outcome(answer, leak, mangling.true)
-        size = [""] * 3 if answer.leak is None else [f"{part:.4g}" for part in answer.leak]
-        verdict, causes = f"{answer.kind}: {' '.join(answer.text.split())[:400]}", " ".join(sorted(answer.causes))
-        seconds = f"{time.perf_counter() - begin:.1f}"
-        rows.append([seed, leak, mangling.kind, name, advice, judged, verdict, causes, *size, seconds])
+        answer = answer_of(file, None if columns is None else place, window)
+        row = {"case": case, "axis": seed, "leak": leak, "kind": mangling.kind, "mangling": name, "advice": advice}
+        row |= {"outcome": outcome(answer, leak, mangling.true), "causes": " ".join(sorted(answer.causes))}
+        row["verdict"] = f"{answer.kind}: {' '.join(answer.text.split())[:400]}"
+        yield row | (answer.leak._asdict() if answer.leak is not None else {})
         if columns is None and answer.kind != "traceback":
             with contextlib.suppress(HydroError):
                 given = own_map(read_columns(file).headings, str(file))
@@ -172,37 +162,17 @@ def cases_of(reader: Reader, folder: Path, name: str, mangling: Mangling, axis: 
         if not advice or advice in taken[:-1]:
             break
         place.write_text(yaml.safe_dump(columns, allow_unicode=True))
-    return rows
 
 
-def axis_cases(folder: Path, cases: Path, axis: tuple[int, float], known: set[str]) -> None:
-    """Append the cases of an axis to a CSV, but for manglings that are known."""
-    seed, leak = axis
-    recording = folder / f"axis_{seed}_{leak:g}.csv"
-    if not recording.exists():
-        record_axis(recording, TASK, shipped("pid", TASK), seed, leak)
-    reader = Reader()
-    for name, mangling in manglings().items():
-        if name not in known:
-            rows = cases_of(reader, folder, name, mangling, axis)
-            pd.DataFrame(rows, columns=ROW).to_csv(cases, mode="a", header=False, index=False)
-
-
-def run(folder: Path, jobs: int) -> None:
+def main() -> None:
     """Diagnose all mangled recordings; print tables by kind, and the cases with a wrong answer."""
-    folder.mkdir(parents=True, exist_ok=True)
-    cases = folder / "recordings.csv"
-    if not cases.exists():
-        cases.write_text(",".join(ROW) + "\n")
-    done = pd.read_csv(cases)
-    known = {axis: set(done[(done.axis == axis[0]) & (done.leak == axis[1])].mangling) for axis in AXES}
-    work = (joblib.delayed(axis_cases)(folder, cases, axis, known[axis]) for axis in AXES)
-    joblib.Parallel(n_jobs=jobs)(work)
-    show(pd.read_csv(cases, keep_default_na=False))
-
-
-def show(table: pd.DataFrame) -> None:
-    """Print what was answered."""
+    given = command_line(__doc__, "folder", jobs=1)
+    given.folder.mkdir(parents=True, exist_ok=True)
+    for seed, leak in AXES:
+        record_axis(given.folder / f"axis_{seed}_{leak:g}.csv", TASK, shipped("pid", TASK), seed, leak)
+    cases = range(len(AXES) * len(manglings()))
+    table = kept_rows(given.folder / "cases.csv", "case", cases, partial(rows_of, folder=given.folder), given.jobs)
+    table["advice"] = table["advice"].fillna("")
     for title, part in (("as it is", table[table.advice == ""]), ("advice followed", table[table.advice != ""])):
         if len(part):
             counts = pd.crosstab(part.kind, part.outcome, rownames=["kind"], colnames=[title], margins=True)
@@ -215,8 +185,4 @@ def show(table: pd.DataFrame) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    given = parser.parse_args()
-    run(given.folder, given.jobs)
+    main()

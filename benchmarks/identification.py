@@ -9,7 +9,6 @@ each rig; a later call continues it.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Iterator
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from benchmarks import command_line
 from benchmarks.hidden_rigs import hidden_rig, identified_task
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.running.seeds import HIDDEN_RIGS, THRESHOLDS
@@ -104,11 +104,7 @@ def report(rows: pd.DataFrame) -> None:
 
 def main() -> None:
     """Identify the hidden rigs, and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rigs", type=int, default=30)
-    parser.add_argument("--folder", type=Path, help="for recordings and results, which it keeps")
-    parser.add_argument("--validation", action="store_true", help="validation seeds instead of test seeds")
-    given = parser.parse_args()
+    given = command_line(__doc__, rigs=30, folder=Path, validation=False)
     seeds = THRESHOLDS.take(given.rigs, VALIDATION_SKIP) if given.validation else HIDDEN_RIGS.take(given.rigs)
     with tempfile.TemporaryDirectory() as name:
         folder = given.folder or Path(name)

@@ -10,7 +10,6 @@ if it lies above zero by 2.33 of its own standard deviations: 1 % false alarms, 
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from pathlib import Path
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from benchmarks import command_line
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.running.seeds import LEAK_TESTS
 from hydro_agents.running.text import markdown
@@ -68,12 +68,7 @@ def summary(leak: float, rows: pd.DataFrame) -> list[str]:
 
 def main() -> None:
     """Run the tests, then print a table by leak."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--axes", type=int, default=16, help="of each leak")
-    parser.add_argument("--leak", type=float, nargs="+", default=[0.0, 0.005, 0.01, 0.05], help="l/min at 100 bar")
-    parser.add_argument("--duration", type=float, default=60.0, help="s")
-    parser.add_argument("--folder", type=Path, help="for the results, which it keeps")
-    given = parser.parse_args()
+    given = command_line(__doc__, axes=16, leak=[0.0, 0.005, 0.01, 0.05], duration=60.0, folder=Path)
     config = task_config(None)
     test = plan(config, given.duration)
     print(test.line())

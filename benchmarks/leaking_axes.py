@@ -8,7 +8,6 @@ from the nameplate; they were trained on other rigs. Finished predictions stay.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +17,7 @@ import pandas as pd
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
+from benchmarks import command_line
 from challenge.axes import read_task
 from challenge.recordings import DURATION
 from hydro_agents.detection.detector import Detector, Windows
@@ -125,12 +125,7 @@ def predictions(own: Own, data: Path, split: str, jobs: int) -> pd.DataFrame:
 
 def main() -> None:
     """Write the predictions of every detector."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--split", default="test")
-    parser.add_argument("--output", type=Path, default=Path("results/leaking_axes"))
-    parser.add_argument("--jobs", type=int, default=2)
-    given = parser.parse_args()
+    given = command_line(__doc__, "data", split="test", output=Path("results/leaking_axes"), jobs=2)
     given.output.mkdir(parents=True, exist_ok=True)
     for name, own in OWN.items():
         file = given.output / f"{name}.parquet"

@@ -8,7 +8,6 @@ quarter of an hour, a minute with ``--quick``. Compare rows, not figures of anot
 
 from __future__ import annotations
 
-import argparse
 import os
 import statistics
 import subprocess
@@ -27,6 +26,7 @@ import numpy as np
 import pandas as pd
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
+from benchmarks import command_line
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_env, make_features, make_model
@@ -304,11 +304,7 @@ def measured(group: str, rows: Sequence[Row], rounds: int) -> pd.DataFrame:
 
 def main() -> None:
     """Measure the groups, keep the table after each, and print it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS))
-    parser.add_argument("--quick", action="store_true", help="fewer sizes and shorter runs, for a trial")
-    parser.add_argument("--output", type=Path, default=Path("results/speed.csv"))
-    given = parser.parse_args()
+    given = command_line(__doc__, only=GROUPS, quick=False, output=Path("results/speed.csv"))
     extent = QUICK if given.quick else FULL
     print(f"{machine_description()}; {', '.join(map(' '.join, package_versions().items()))}\n")
     tables = []

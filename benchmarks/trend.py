@@ -2,7 +2,8 @@
 
 Run: python benchmarks/trend.py results/trend_benchmark [--axes 20] [--days 60] [--windows 1] [--validation]
 
-Each axis has a plant of its own, whose leak at 40 °C grows by a decade in 40 days, or is healthy. On each day 30 s are
+``--axes`` grow, and as many are healthy; ``--windows`` of a day are read. Each axis has a plant of its own, whose leak
+at 40 °C grows by a decade in 40 days, or is healthy. On each day 30 s are
 recorded in another motion and with other noise, at an oil temperature of 25 to 60 °C that the leak follows; 5 % of the
 rows are lost. The seal is repaired on two days that are marked. Recording, choice of windows, checks, estimator, oil
 and verdict are those of the command; the thermometer errs by 1 K, the oil's viscosity at 100 °C by 3 %, and the file
@@ -12,13 +13,13 @@ dates are tried in a minute (`axes.csv` taken away); after an interruption the s
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from benchmarks import command_line
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import measured_run
@@ -137,14 +138,7 @@ def judge(kept: Path, controller: Controller, seed: int, days: int, grows: bool,
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--axes", type=int, default=20, help="that grow, and as many healthy ones")
-    parser.add_argument("--days", type=int, default=60)
-    parser.add_argument("--windows", type=int, default=1, help="of a day")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--validation", action="store_true", help="validation seeds instead of test seeds")
-    given = parser.parse_args()
+    given = command_line(__doc__, "folder", axes=20, days=60, windows=1, jobs=1, validation=False)
     controller, seeds = shipped("pid", TaskConfig()), TREND_CALIBRATION if given.validation else TRENDS
     grows = {seed: skip == SEEN for skip in (SEEN, 1000 + SEEN) for seed in seeds.take(given.axes, skip)}
     table = kept_rows(

@@ -3,9 +3,8 @@
 import pandas as pd
 import pytest
 
-from benchmarks.hostile_changes import COLUMNS
 from benchmarks.hostile_inputs import Answer, followed, outcome
-from benchmarks.hostile_recordings import manglings
+from benchmarks.hostile_recordings import COLUMNS, manglings
 from hydro_rig.diagnosis.verdict import Kind, Leak
 
 HEALTHY, LEAKING = 0.01, 0.3  # l/min
@@ -15,10 +14,10 @@ SMALL, LARGE, TWICE = Leak(0.01, 0.005, 0.015), Leak(0.3, 0.29, 0.31), Leak(0.61
 @pytest.mark.parametrize(
     ("verdict", "causes", "leak", "truth", "mangling", "judged"),
     [
-        (Kind.HEALTHY, "", SMALL, HEALTHY, "ISO dates", "right"),
-        (Kind.LEAK, "", LARGE, LEAKING, "ISO dates", "right"),
-        (Kind.LEAK, "", LARGE, HEALTHY, "ISO dates", "healthy called leaking"),
-        (Kind.HEALTHY, "", SMALL, LEAKING, "ISO dates", "leaking called healthy"),
+        (Kind.HEALTHY, "", SMALL, HEALTHY, "number of the row", "right"),
+        (Kind.LEAK, "", LARGE, LEAKING, "number of the row", "right"),
+        (Kind.LEAK, "", LARGE, HEALTHY, "number of the row", "healthy called leaking"),
+        (Kind.HEALTHY, "", SMALL, LEAKING, "number of the row", "leaking called healthy"),
         (Kind.OTHER, "pressure_a", SMALL, LEAKING, "pressure_a: stuck", "leaking called healthy"),
         (Kind.OTHER, "pressure_a", None, LEAKING, "pressure_a: stuck", "right"),
         (Kind.OTHER, "pressure_a", SMALL, HEALTHY, "pressures in steps of 1 bar", "wrong cause"),
@@ -55,11 +54,11 @@ def test_advice_becomes_an_entry_of_the_map(text, place, value):
     assert followed(Answer("cannot tell", text="shorter ones (--window 0.5)"), columns, 2.0)[1] == 0.5
 
 
-def test_manglings_make_456_recordings_and_each_writes_a_file():
+def test_manglings_make_300_recordings_and_each_writes_a_file():
     table = pd.DataFrame({name: [0.1 * k + 0.005 * row for row in range(400)] for k, name in enumerate(COLUMNS)})
     found = manglings()
-    assert 4 * len(found) == 456
+    assert 4 * len(found) == 300
     plain = found["semicolons and decimal commas"].write(table)
     files = {name: mangling.write(mangling.change(table)) for name, mangling in found.items()}
     assert all(files.values())
-    assert len({files[name] for name in files if files[name] != plain}) > 100
+    assert len({files[name] for name in files if files[name] != plain}) == len(files) - 1
