@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,22 +24,22 @@ from hydro_env.files import read_json, read_yaml
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TABLES = DOCS / "tables"
 PROTOCOL = DOCS.parent / "configs" / "protocols" / "leakage.yaml"
-PAGES = ("results.md", "leakage.md", "performance.md", "model.md")
+PAGES = ("results.md", "leakage.md", "real_machines.md", "performance.md", "model.md")
 MARKED = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", flags=re.DOTALL)
 
 
 class Source(NamedTuple):
-    """A table of the pages."""
+    """A table of the pages, as put_into_docs.yaml explains it."""
 
-    file: str  # that a command wrote
-    columns: Mapping[str, str] = {}  # heading and format (empty: text of this name); none: only a chart shows it
-    rows: Callable[[pd.DataFrame], pd.DataFrame] = pd.DataFrame.copy  # from what is kept to the rows of the page
-    keep: Callable[[pd.DataFrame], pd.DataFrame] = pd.DataFrame.copy  # from the file to what is kept
+    file: str
+    columns: Mapping[str, str]
+    kept: Sequence[str] = ()
+    keep: str = ""
+    rows: str = ""
+    names: Mapping[str, str] = {}
 
 
-def _interval(name: str) -> str:
-    """Format of a figure with its interval."""
-    return f"{{{name}:.3f}} ({{{name}_low:.3f}} to {{{name}_high:.3f}})"
+SOURCES = {name: Source(**fields) for name, fields in read_yaml(Path(__file__).with_suffix(".yaml")).items()}
 
 
 def _written(row: pd.Series, form: str) -> str:
@@ -52,28 +52,33 @@ def _written(row: pd.Series, form: str) -> str:
     return text
 
 
-def _errors(table: pd.DataFrame) -> pd.DataFrame:
+def errors(table: pd.DataFrame) -> pd.DataFrame:
     """One row per controller: mean errors in both frames."""
-    kept = table[(table["group"] == "all") & table["metric"].isin(("mean_error_mm", "mean_error_sensor_mm"))]
-    return kept.pivot_table("mean", "controller", "metric", sort=False).reset_index()
+    chosen = table[(table["group"] == "all") & table["metric"].isin(("mean_error_mm", "mean_error_sensor_mm"))]
+    return chosen.pivot_table("mean", "controller", "metric", sort=False).reset_index()
 
 
-def _against_the_first(*names: str) -> Callable[[pd.DataFrame], pd.DataFrame]:
-    """Columns of the rows over all cases against the first controller."""
-
-    def kept(table: pd.DataFrame) -> pd.DataFrame:
-        first = table["against"].iloc[0]
-        return table.loc[(table["against"] == first) & (table["group"] == "all"), list(names)]
-
-    return kept
+def against_the_first(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows over all cases against the first controller."""
+    return table[(table["against"] == table["against"].iloc[0]) & (table["group"] == "all")]
 
 
-def _detectors(table: pd.DataFrame) -> pd.DataFrame:
-    kept = table[(table["condition"] == "ordinary") & table["level"].isin((0.05, 0.1, 0.2, 0.3, 1.0))]
-    return kept[["detector", "level", "at_1_percent", "at_1_percent_low", "at_1_percent_high", "windows"]]
+def ordinary(table: pd.DataFrame) -> pd.DataFrame:
+    """The leaks of the page under ordinary conditions."""
+    return table[(table["condition"] == "ordinary") & table["level"].isin((0.05, 0.1, 0.2, 0.3, 1.0))]
 
 
-def _by_level(table: pd.DataFrame) -> pd.DataFrame:
+def conditions(table: pd.DataFrame) -> pd.DataFrame:
+    """The leaks of the page under all conditions of one rig."""
+    return table[table["level"].isin((0.0, 0.1, 0.3, 1.0)) & ~table["condition"].str.startswith("rig_")]
+
+
+def healthy(table: pd.DataFrame) -> pd.DataFrame:
+    """Controllers on axes with a healthy seal."""
+    return table[(table["leak"] == table["leak"].min()) & table["error_um"].notna()]
+
+
+def by_level(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
     """One row per detector: shares in % with their intervals as text."""
     shares = table.assign(level=table["level"].map("{:g} l/min".format))
     form = "{at_1_percent:.1%} ({at_1_percent_low:.1%} to {at_1_percent_high:.1%})"
@@ -82,149 +87,42 @@ def _by_level(table: pd.DataFrame) -> pd.DataFrame:
     return wide.loc[table["detector"].unique()].reset_index()
 
 
-def _conditions(table: pd.DataFrame) -> pd.DataFrame:
-    kept = table[table["level"].isin((0.0, 0.1, 0.3, 1.0)) & ~table["condition"].str.startswith("rig_")]
-    return kept[["detector", "condition", "level", "flagged", "cannot_tell"]]
-
-
-SHOWN_CONDITIONS = (
-    "ordinary", "standing", "standing_null_minus", "slow", "by_hand", "orifice", "onset", "lqg", "null_shift_minus",
-    "underlap", "hysteresis", "external_large", "pressure_a_offset", "pressure_freeze", "load", "lugre",
-)  # fmt: skip
-
-
-def _by_condition(table: pd.DataFrame) -> pd.DataFrame:
+def by_condition(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
     """One row per condition: shares in %, of healthy axes under ``NAME 0``; its name as the protocol writes it."""
     kinds = read_yaml(PROTOCOL)["conditions"]
     shares = table.assign(flagged=100.0 * table["flagged"], cannot_tell=100.0 * table["cannot_tell"])
     wide = shares.pivot(index="condition", columns=["detector", "level"], values=["flagged", "cannot_tell"])
-    wide = wide.loc[[name for name in kinds if name in SHOWN_CONDITIONS]]
+    wide = wide.loc[[name for name in kinds if name in names]]
     wide.columns = [f"{detector} {figure} {level:g}".replace(".", ",") for figure, detector, level in wide.columns]
     return wide.assign(condition=[kinds[name]["label"] for name in wide.index])
 
 
-SPEED = {
-    "one axis": "one axis through `gym.make`",
-    "axes, N = 64": "64 axes, `gym.make_vec`",
-    "axes, N = 1,024": "1024 axes",
-    "axes, N = 16,384": "16 384 axes",
-    "AsyncVectorEnv of 16 single axes": "16 axes as processes of Gymnasium",
-    "plants: 4,096, 2 threads": "the integrator alone, two threads",
-    "PPO of stable-baselines3": "training of PPO on flow linearisation, end to end",
-    "first step, compiled before": "import, make, reset and first step",
-    "first step, empty cache": "the same, everything compiled anew",
-    "policy: median": "one call of the policy in Python",
-}
-"""Rows of the measurement that the page shows, and what it calls them."""
+def foreign(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
+    """One row per axis and controller; errors also relative to those of the first controller there."""
+    first = table.groupby("plant", sort=False)["error_um"].transform("first")
+    rows = table.assign(ratio=table["error_um"] / first).sort_values(
+        "plant", key=lambda plant: plant.map([*names].index)
+    )
+    return rows.assign(plant=rows["plant"].map(names), controller=rows["controller"].map(names))
 
 
-def _speed(table: pd.DataFrame) -> pd.DataFrame:
+def speed(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
     """The rows of the page, the median with three digits, and the ratio to the row beside it."""
-    rows = table.set_index("row").loc[list(SPEED)].assign(what=list(SPEED.values()))
+    rows = table.set_index("row").loc[list(names)].assign(what=list(names.values()))
     rows["median"] = rows["median"].map("{:.3g}".format).map(lambda text: f"{float(text):,g}" if "e" in text else text)
     rows["beside"] = rows["ratio"].map("{:.2g} × ".format) + rows["beside"]
     return rows.fillna({"beside": ""})
 
 
-SOURCES = {
-    "errors": Source(
-        "study/tables/summary.csv",
-        {
-            "controller": "{controller}",
-            "accuracy, mm": "{mean_error_mm:.3f}",
-            "repeatability, mm": "{mean_error_sensor_mm:.3f}",
-        },
-        keep=_errors,
-    ),
-    "study": Source(
-        "study/tables/comparison.csv",
-        {
-            "controller": "{controller}",
-            "accuracy ÷ PID's": _interval("ratio"),
-            "repeatability ÷ PID's": _interval("ratio_sensor"),
-            "better than the PID, share of cases": "{share_better:.2f}",
-        },
-        keep=_against_the_first(
-            *("controller", "ratio", "ratio_low", "ratio_high", "share_better"),
-            *("ratio_sensor", "ratio_sensor_low", "ratio_sensor_high"),
-        ),
-    ),
-    "seeds": Source(
-        "seeds/tables/seeds.csv",
-        {
-            "controller": "{controller}",
-            "÷": "{against}",
-            "training seed": "{training_seed}",
-            "accuracy": "{ratio:.3f}",
-            "families weigh the same": "{equal_weight:.3f}",
-        },
-        keep=lambda table: table[["controller", "against", "training_seed", "ratio", "equal_weight"]],
-    ),
-    "robustness": Source(
-        "robustness/tables/ranking.csv",
-        {
-            "controller": "{controller}",
-            "accuracy ÷ PID's": _interval("equal_weight"),
-            "repeatability ÷ PID's": _interval("equal_weight_sensor"),
-            "worst case": "{worst_ratio:.1f}",
-            "valve travel": "{travel_ratio:.2f}",
-            "limit cycles": "{limit_cycles:.0f} of {standstills:.0f}",
-        },
-    ),
-    "detectors": Source(
-        "leakage/tables/detection.csv",
-        {"detector": "{detector}"} | dict.fromkeys(("0.05 l/min", "0.1 l/min", "0.3 l/min", "1 l/min"), ""),
-        _by_level,
-        _detectors,
-    ),
-    "conditions": Source(
-        "leakage/tables/detection.csv",
-        {
-            "condition": "{condition}",
-            "head: false alarms": "{head flagged 0:.1f}",
-            "0.3 l/min found": "{head flagged 0,3:.0f}",
-            "the head cannot tell": "{head cannot_tell 0:.0f}",
-            "estimator: false alarms": "{estimator flagged 0:.0f}",
-            "of 0.3 l/min found": "{estimator flagged 0,3:.0f}",
-            "it cannot tell": "{estimator cannot_tell 0:.0f}",
-        },
-        _by_condition,
-        _conditions,
-    ),
-    "baselines": Source(
-        "baselines/tables/comparison.csv",
-        {
-            "controller": "{controller}",
-            "accuracy ÷ PID's": _interval("ratio"),
-            "families weigh the same": _interval("equal_weight"),
-            "valve travel ÷ PID's": "{travel_ratio:.2f}",
-        },
-        keep=_against_the_first(
-            *("controller", "ratio", "ratio_low", "ratio_high", "travel_ratio"),
-            *("equal_weight", "equal_weight_low", "equal_weight_high"),
-        ),
-    ),
-    "challenge": Source(
-        "challenge/tables/challenge.csv",
-        {
-            "detector": "{detector}",
-            "knows the axis": "{knows the axis}",
-            "leaks found (95 %)": "{found:.3f} ({found_low:.2f} to {found_high:.2f})",
-            "known axes": "{known axes:.3f}",
-            "new axes": "{new axes:.3f}",
-        },
-    ),
-    "speed": Source(
-        "speed/speed.csv",
-        {"what": "{what}", "median": "{median} {unit}", "beside": "{beside}"},
-        _speed,
-        lambda table: table[["group", "row", "unit", "median", "beside", "ratio"]],
-    ),
-    "verdicts": Source(
-        "reproduce/verdicts.csv",
-        {"the paper concludes": "{conclusion}", "verdict": "**{verdict}**", "measured": "{measured}", "here": "{here}"},
-    ),
-}
+KEEP = {made.__name__: made for made in (errors, against_the_first, ordinary, conditions, healthy)}
+ROWS = {made.__name__: made for made in (by_level, by_condition, foreign, speed)}
+
+
+def kept_of(source: Source, table: pd.DataFrame) -> pd.DataFrame:
+    """What docs/tables keeps of a table that a command wrote."""
+    if source.keep:
+        table = KEEP[source.keep](table)
+    return table[list(source.kept)] if source.kept else table
 
 
 def table_of(name: str) -> str:
@@ -232,7 +130,9 @@ def table_of(name: str) -> str:
     source = SOURCES[name]
     kept = pd.read_csv(TABLES / f"{name}.csv", skiprows=1)
     lines = [list(source.columns), ["---"] * len(source.columns)]
-    for _, row in source.rows(kept).iterrows():
+    if source.rows:
+        kept = ROWS[source.rows](kept, source.names)
+    for _, row in kept.iterrows():
         lines.append([_written(row, form) if form else row[heading] for heading, form in source.columns.items()])
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     command = origin_of(name).split("`")[-2]
@@ -247,7 +147,7 @@ def origin_of(name: str) -> str:
 
 def tables() -> dict[str, str]:
     """The tables of the pages, from the kept results."""
-    return {name: table_of(name) for name, source in SOURCES.items() if source.columns}
+    return {name: table_of(name) for name in SOURCES}
 
 
 def filled(page: str, made: Mapping[str, str]) -> str:
@@ -263,7 +163,7 @@ def main(results: str = "results") -> None:
         if new := mark.is_file() and file.is_file():
             origin = Origin(**read_json(mark))
             first = f"# hydro_env {origin.version}, {origin.date}: `{origin.command}`\n"
-            kept = source.keep(pd.read_csv(file)).to_csv(index=False, float_format="%.6g")
+            kept = kept_of(source, pd.read_csv(file)).to_csv(index=False, float_format="%.6g")
             (TABLES / f"{name}.csv").write_text(first + kept, encoding="utf-8")
         print(f"{name}: {file if new else 'as before'}")
     made = tables()

@@ -1,13 +1,14 @@
 """Speed and start-up of the environment and of PPO, beside Gymnasium's own environments.
 
-Run: python -m benchmarks.speed [--only GROUP ...] [--quick] [--output results/speed.csv]
+Run: python -m benchmarks.speed [--only kernel environment training start inference] [--output results/speed.csv]
 
 The measurements of a group take turns, round by round; a ratio is the median of the ratios within a round. It takes a
-quarter of an hour, a minute with ``--quick``. Compare rows, not figures of another day.
+quarter of an hour. Compare rows, not figures of another day.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import statistics
 import subprocess
@@ -17,14 +18,12 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 import pandas as pd
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from benchmarks import command_line
 from hydro_agents.learning.policy import PolicyController
@@ -39,20 +38,9 @@ from hydro_env.files import write_text
 from hydro_env.plant import kernel
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-class Extent(NamedTuple):
-    """Extent of the measurement."""
-
-    rounds: int
-    seconds: float  # of one measurement of a rate
-    sizes: Sequence[int]  # plants or axes side by side
-    training_steps: int
-    calls: int  # of a controller
-
-
-FULL = Extent(5, 0.5, (1, 64, 1024, 4096, 16_384), 500_000, 20_000)
-QUICK = Extent(3, 0.1, (1, 1024), 65_536, 2000)
+ROUNDS, SECONDS = 5, 0.5  # SECONDS: of one measurement of a rate
+SIZES = (1, 64, 1024, 4096, 16_384)  # plants or axes side by side
+TRAINING_STEPS, CALLS = 500_000, 20_000  # CALLS: of a controller
 
 
 class Row(NamedTuple):
@@ -64,89 +52,70 @@ class Row(NamedTuple):
     beside: str = ""
 
 
-def rate(work: Callable[[], int], seconds: float) -> float:
+def rate(work: Callable[[], int]) -> float:
     """Units of work per second. ``work`` returns the number of units that it did; its first call is not timed."""
     work()
     done, began = 0, time.perf_counter()
     while True:
         done += work()
         passed = time.perf_counter() - began
-        if passed >= seconds:
+        if passed >= SECONDS:
             return done / passed
 
 
-# The integrator -------------------------------------------------------------------------------------------------------
-class BareKernel:
-    """N plants drawn as in the environment, advanced by the integrator alone under a square wave of ±1 V."""
+def kernel_rate(count: int, threads: int) -> float:
+    """Control periods per second of plants drawn as in the environment: the integrator alone, a square wave of ±1 V."""
+    env = ServoHydraulicVectorEnv(count, info=False, threads=1)
+    env.reset(seed=0)
+    config, voltage, periods = env.config, np.ones((count, 2)), itertools.count(1)
+    durations = np.tile([config.command_latency, config.control_period - config.command_latency], (count, 1))
+    peaks = np.zeros((count, kernel.N_PEAKS))
+    plants = kernel.Plants(env.axes.state.copy(), env.axes.coefficient.copy(), voltage, durations, peaks)
+    accuracy = kernel.Accuracy(float(config.maximum_step), float(config.tolerance))
+    parts = list(itertools.pairwise([count * part // threads for part in range(threads + 1)]))
+    with ThreadPoolExecutor(threads) as pool:
 
-    def __init__(self, count: int, threads: int) -> None:
-        env = ServoHydraulicVectorEnv(count, info=False, threads=1)
-        env.reset(seed=0)
-        config = env.config
-        self.state = env.axes.state.copy()
-        self._voltage = np.ones((count, 2))
-        durations = np.tile([config.command_latency, config.control_period - config.command_latency], (count, 1))
-        peaks = np.zeros((count, kernel.N_PEAKS))
-        self._plants = kernel.Plants(self.state, env.axes.coefficient.copy(), self._voltage, durations, peaks)
-        self._accuracy = kernel.Accuracy(float(config.maximum_step), float(config.tolerance))
-        self._parts = list(pairwise([count * part // threads for part in range(threads + 1)]))
-        self._pool = ThreadPoolExecutor(threads)
-        self._periods = 0
+        def advance() -> int:
+            list(pool.map(lambda part: kernel.integrate(plants, accuracy, *part), parts))
+            if next(periods) % 20 == 0:
+                np.negative(voltage, out=voltage)
+            return count
 
-    def advance(self) -> int:
-        """One control period of all plants; returns the number of plants."""
-        list(self._pool.map(self._integrate, self._parts))
-        self._periods += 1
-        if self._periods % 20 == 0:
-            self._voltage *= -1.0
-        return len(self.state)
-
-    def _integrate(self, part: tuple[int, int]) -> None:
-        kernel.integrate(self._plants, self._accuracy, *part)
-
-    def close(self) -> None:
-        """Stop the worker threads."""
-        self._pool.shutdown()
+        return rate(advance)
 
 
-def kernel_rows(extent: Extent) -> list[Row]:
+def kernel_rows() -> list[Row]:
     """The integrator alone, by plants and threads."""
-
-    def measure(count: int, threads: int) -> float:
-        bare = BareKernel(count, threads)
-        found = rate(bare.advance, extent.seconds)
-        bare.close()
-        return found
-
     rows = []
-    for count in extent.sizes:
+    for count in SIZES:
         alone = f"plants: {count:,}"
-        rows.append(Row(alone, partial(measure, count, 1), "plant periods/s"))
+        rows.append(Row(alone, partial(kernel_rate, count, 1), "plant periods/s"))
         if count >= 64:
-            rows.append(Row(f"{alone}, 2 threads", partial(measure, count, 2), "plant periods/s", alone))
+            rows.append(Row(f"{alone}, 2 threads", partial(kernel_rate, count, 2), "plant periods/s", alone))
     return rows
 
 
-# Environments ---------------------------------------------------------------------------------------------------------
-def single_rate(env: gym.Env[Any, Any], seconds: float, steps: int = 500) -> float:
+def single_rate(make: Callable[[], gym.Env[Any, Any]]) -> float:
     """Steps per second of one environment under its zero action, resets included."""
+    env = make()
     env.reset(seed=0)
     action = env.action_space.sample() * 0
 
     def work() -> int:
-        for _ in range(steps):
+        for _ in range(500):
             _, _, terminated, truncated, _ = env.step(action)
             if terminated or truncated:
                 env.reset()
-        return steps
+        return 500
 
-    result = rate(work, seconds)
+    result = rate(work)
     env.close()
     return result
 
 
-def vector_rate(env: Any, seconds: float) -> float:
+def vector_rate(make: Callable[[], Any]) -> float:
     """Environment steps per second of a vector environment under small random actions, restarts included."""
+    env = make()
     count: int = env.num_envs
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -160,7 +129,7 @@ def vector_rate(env: Any, seconds: float) -> float:
             env.step(actions)
         return batch * count
 
-    result = rate(work, seconds)
+    result = rate(work)
     env.close()
     return result
 
@@ -170,52 +139,35 @@ def single_axis() -> gym.Env[Any, Any]:
     return gym.make(f"hydro_env:{ENVIRONMENT_ID}")
 
 
-def environment_rows(extent: Extent) -> list[Row]:
+def environment_rows() -> list[Row]:
     """One axis and N axes beside Gymnasium's environments and its vectors of single axes."""
-
-    def single(make: Callable[[], gym.Env[Any, Any]]) -> float:
-        return single_rate(make(), extent.seconds)
-
-    def many(make: Callable[[], Any]) -> float:
-        return vector_rate(make(), extent.seconds)
-
     own = "one axis"
     rows = [
-        Row("Pendulum-v1", partial(single, partial(gym.make, "Pendulum-v1")), "steps/s"),
-        Row(own, partial(single, single_axis), "steps/s", "Pendulum-v1"),
+        Row("Pendulum-v1", partial(single_rate, partial(gym.make, "Pendulum-v1")), "steps/s"),
+        Row(own, partial(single_rate, single_axis), "steps/s", "Pendulum-v1"),
     ]
-    for count in extent.sizes[1:]:
+    for count in SIZES[1:]:
         peer = f"CartPole-v1, N = {count:,}"
         for name, environment, beside in ((peer, "CartPole-v1", ""), (f"axes, N = {count:,}", ENVIRONMENT_ID, peer)):
             make = partial(gym.make_vec, environment, num_envs=count)
-            rows.append(Row(name, partial(many, make), "axis steps/s", beside))
+            rows.append(Row(name, partial(vector_rate, make), "axis steps/s", beside))
     processes = partial(gym.vector.AsyncVectorEnv, [single_axis] * 16, context="spawn")
-    rows.append(Row("AsyncVectorEnv of 16 single axes", partial(many, processes), "axis steps/s", own))
+    rows.append(Row("AsyncVectorEnv of 16 single axes", partial(vector_rate, processes), "axis steps/s", own))
     return rows
 
 
-# Training, start, inference -------------------------------------------------------------------------------------------
-def native_model() -> tuple[OnPolicyAlgorithm, PPOSettings]:
-    """PPO as ``make study`` trains it, and its settings."""
+def training_speed() -> float:
+    """Steps per second of PPO as ``make study`` trains it."""
     study = default_study()
     name = study.trained[0]
     base: Any = study.make(study.controllers[name].corrects or "")
     ppo = study.controllers[name].settings
     assert isinstance(ppo, PPOSettings)
-    return make_model(make_env(study.task, ppo, make_features(study.task, ppo, base), 0), ppo, 0), ppo
-
-
-def training_rows(extent: Extent) -> list[Row]:
-    """Speed of PPO."""
-
-    def measure() -> float:
-        model, ppo = native_model()
-        model.learn(ppo.axes * ppo.steps_per_rollout)  # warm
-        began = time.perf_counter()
-        model.learn(extent.training_steps)
-        return model.num_timesteps / (time.perf_counter() - began)
-
-    return [Row("PPO of stable-baselines3", measure, "steps/s")]
+    model = make_model(make_env(study.task, ppo, make_features(study.task, ppo, base), 0), ppo, 0)
+    model.learn(ppo.axes * ppo.steps_per_rollout)  # warm
+    began = time.perf_counter()
+    model.learn(TRAINING_STEPS)
+    return model.num_timesteps / (time.perf_counter() - began)
 
 
 FIRST_STEP = f"""
@@ -226,70 +178,57 @@ env.step(env.action_space.sample())
 """
 
 
-def fresh_process(code: str, cache: str | None = None) -> float:
-    """Wall time in s of Python code in a new process; ``cache`` is the folder of the machine code.
-
-    Raises:
-        subprocess.CalledProcessError: the code failed.
-    """
+def fresh_process(code: str, cached: bool = True) -> float:
+    """Wall time in s of Python code in a new process, with the machine code of before or without any."""
     variables = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "agents")])}
-    if cache is not None:
-        variables["NUMBA_CACHE_DIR"] = cache
-    began = time.perf_counter()
-    subprocess.run([sys.executable, "-c", code], check=True, env=variables)
-    return time.perf_counter() - began
+    with tempfile.TemporaryDirectory() as empty:
+        if not cached:
+            variables["NUMBA_CACHE_DIR"] = empty
+        began = time.perf_counter()
+        subprocess.run([sys.executable, "-c", code], check=True, env=variables)
+        return time.perf_counter() - began
 
 
-def start_rows(extent: Extent) -> list[Row]:
+def start_rows() -> list[Row]:
     """Import, and time to the first step with a filled and with an empty cache of machine code."""
-
-    def cold() -> float:
-        with tempfile.TemporaryDirectory() as empty:
-            return fresh_process(FIRST_STEP, empty)
-
     imported, warm = "import hydro_env", "first step, compiled before"
     return [
         Row("import gymnasium", partial(fresh_process, "import gymnasium"), "s"),
         Row(imported, partial(fresh_process, imported), "s", "import gymnasium"),
         Row(warm, partial(fresh_process, FIRST_STEP), "s", imported),
-        Row("first step, empty cache", cold, "s", warm),
+        Row("first step, empty cache", partial(fresh_process, FIRST_STEP, False), "s", warm),
     ]
 
 
-def inference_rows(extent: Extent) -> list[Row]:
-    """Time from observation to command on one axis."""
-    env = gym.make(ENVIRONMENT_ID)
+def call_of_the_policy() -> float:
+    """Median time from observation to command on one axis, ms."""
+    env = single_axis()
     env.reset(seed=0)
     observations = [env.step(np.zeros(1, dtype=np.float32))[0] for _ in range(256)]
     env.close()
-    policy = PolicyController.load(pretrained_folder() / "policy")
-
-    def measure() -> float:
-        memory, times = None, []
-        for number in range(extent.calls):
-            began = time.perf_counter()
-            _, memory = policy.predict(observations[number % 256], memory)
-            times.append(1e3 * (time.perf_counter() - began))
-        return statistics.median(times)
-
-    return [Row("policy: median", measure, "ms")]
+    policy, memory, times = PolicyController.load(pretrained_folder() / "policy"), None, []
+    for number in range(CALLS):
+        began = time.perf_counter()
+        _, memory = policy.predict(observations[number % 256], memory)
+        times.append(1e3 * (time.perf_counter() - began))
+    return statistics.median(times)
 
 
-GROUPS: dict[str, Callable[[Extent], list[Row]]] = {
+GROUPS: dict[str, Callable[[], list[Row]]] = {
     "kernel": kernel_rows,
     "environment": environment_rows,
-    "training": training_rows,
+    "training": lambda: [Row("PPO of stable-baselines3", training_speed, "steps/s")],
     "start": start_rows,
-    "inference": inference_rows,
+    "inference": lambda: [Row("policy: median", call_of_the_policy, "ms")],
 }
 
 
-def measured(group: str, rows: Sequence[Row], rounds: int) -> pd.DataFrame:
+def measured(group: str, rows: Sequence[Row]) -> pd.DataFrame:
     """Measure the rows in turn, round by round: median, lowest, highest, and ratio to the row beside it."""
     values: dict[str, list[float]] = {row.name: [] for row in rows}
-    for number in range(rounds):
+    for number in range(ROUNDS):
         for row in rows:
-            print(f"{group}: round {number + 1} of {rounds}, {row.name}", file=sys.stderr, flush=True)
+            print(f"{group}: round {number + 1} of {ROUNDS}, {row.name}", file=sys.stderr, flush=True)
             values[row.name].append(row.measure())
     table = []
     for row in rows:
@@ -304,17 +243,14 @@ def measured(group: str, rows: Sequence[Row], rounds: int) -> pd.DataFrame:
 
 def main() -> None:
     """Measure the groups, keep the table after each, and print it."""
-    given = command_line(__doc__, only=GROUPS, quick=False, output=Path("results/speed.csv"))
-    extent = QUICK if given.quick else FULL
+    given = command_line(__doc__, only=GROUPS, output=Path("results/speed.csv"))
     print(f"{machine_description()}; {', '.join(map(' '.join, package_versions().items()))}\n")
     tables = []
     for name in given.only:
-        tables.append(measured(name, GROUPS[name](extent), extent.rounds))
-        table = pd.concat(tables)
-        write_text(given.output, table.to_csv(index=False))
-        shown = (
-            tables[-1].drop(columns="group").map(lambda value: f"{value:.4g}" if isinstance(value, float) else value)
-        )
+        tables.append(measured(name, GROUPS[name]()))
+        write_text(given.output, pd.concat(tables).to_csv(index=False))
+        shown = tables[-1].drop(columns="group")
+        shown = shown.map(lambda value: f"{value:.4g}" if isinstance(value, float) else value)
         print(markdown(list(shown.columns), shown.values.tolist(), left=(0, 1, 5)), end="\n\n", flush=True)
 
 
