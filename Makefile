@@ -53,7 +53,7 @@ figures: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.figures
 
 versions:
-	$(PYTHON) benchmarks/versions.py
+	$(PYTHON) benchmarks/release.py --versions
 
 # torch comes first and by its exact version, so that no other package draws a larger build of it. The plain index has
 # a build with several gigabytes of GPU libraries for some machines; PyTorch's own index has the one for processors.

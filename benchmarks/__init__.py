@@ -13,13 +13,14 @@ def command_line(text: str | None, *positional: str, **options: Any) -> argparse
 
     Args:
         text: the docstring of the script, which explains the options.
-        positional: names of paths that must be given.
+        positional: names of paths that must be given; of several, with three dots.
         options: name and default. A list takes one word or more, ``False`` makes a flag, a type has no default; of a
             tuple one is chosen, at first the first; of the keys of a mapping several, at first all.
     """
     parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in positional:
-        parser.add_argument(name, type=Path)
+        several = "+" if name.endswith("...") else None
+        parser.add_argument(name.removesuffix("..."), type=Path, nargs=several)
     for name, default in options.items():
         flag = f"--{name}"
         if isinstance(default, bool):

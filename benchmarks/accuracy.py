@@ -1,18 +1,17 @@
 """Error of the integrator against the reference solver, its order, and its time.
 
-Run: python -m benchmarks.accuracy [RIGS] [structure]      (ten minutes with 240 rigs, an hour with structure)
+Run: python -m benchmarks.accuracy [--rigs 240] [--structure]      (ten minutes, an hour with structure)
 
 A run is a rig drawn over the whole randomised range with a leak of 0.001 to 4 l/min, an initial state in motion and
 under pressure at a position that it can hold, and 0.2 s of one of three inputs: held voltages of any size, a new
 voltage in every control period, or a sine with noise. The reference is Radau IIA at a relative tolerance of 1e-10,
-which locates limits by root finding (:mod:`hydro_env.plant.reference`). With ``structure`` two of three rigs have lines
-with waves, two of three a second mass, and every second one sharp edges.
+which locates limits by root finding (:mod:`hydro_env.plant.reference`). With ``--structure`` two of three rigs have
+lines with waves, two of three a second mass, and every second one sharp edges.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -22,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import command_line
 from hydro_agents.running.seeds import ACCURACY
 from hydro_agents.running.text import markdown
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
@@ -69,8 +69,7 @@ def random_runs(count: int, structure: bool = False, seed: int = ACCURACY.first)
     env.reset(seed=seed)
     runs = []
     for number in range(count):
-        generator = np.random.default_rng([seed, number])
-        signal = INPUTS[number % len(INPUTS)]
+        generator, signal = np.random.default_rng([seed, number]), INPUTS[number % len(INPUTS)]
         start = {
             "position": float(env.axes.state[number, 0]),
             "velocity": float(generator.uniform(-0.1, 0.1)),
@@ -150,9 +149,10 @@ def convergence_orders(steps: Sequence[float] = FIXED_STEPS) -> list[float]:
     ]
 
 
-def main(rigs: int = 240, structure: bool = False) -> None:
+def main() -> None:
     """Print the table: worst error and time of every setting over random runs, and the order of fixed steps."""
-    runs = random_runs(rigs, structure)
+    given = command_line(__doc__, rigs=240, structure=False)
+    runs = random_runs(given.rigs, given.structure)
     with ProcessPoolExecutor() as pool:
         exact = list(pool.map(reference, runs))
     rows = []
@@ -161,7 +161,7 @@ def main(rigs: int = 240, structure: bool = False) -> None:
         began = time.perf_counter()
         for run in runs:
             run.states(**options)
-        milliseconds = 1e3 * (time.perf_counter() - began) / (rigs * SAMPLES * SAMPLE_TIME)
+        milliseconds = 1e3 * (time.perf_counter() - began) / (len(runs) * SAMPLES * SAMPLE_TIME)
         rows.append([name, f"{worst.max():.2e}", f"{100.0 * (worst <= LIMIT).mean():.0f}", f"{milliseconds:.3g}"])
     within = f"rigs within {LIMIT:g}, %"
     print(markdown(("setting", "worst error, of a state's range", within, "ms per simulated s"), rows))
@@ -170,4 +170,4 @@ def main(rigs: int = 240, structure: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 240, "structure" in sys.argv[2:])
+    main()

@@ -38,13 +38,12 @@ from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
-from hydro_env.task.paces import pace
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 UNTUNED, POLICY, TUNED = "flow linearisation, untuned", "policy for any axis", "flow linearisation, tuned for the rig"
 SEARCHED = "flow linearisation, gains searched by simulation"
 PID_OF_RIG, FIGURES = "PID, gains searched by simulation", "PID, the recommended gain"
-PROPORTIONAL, NOTHING = "P, the recommended gain", "no command"
+PROPORTIONAL = "P, the recommended gain"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
 PLANTS = 8  # of each family and leak
 STANDSTILLS = 16
@@ -78,25 +77,16 @@ def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, A
     }
 
 
-def proportional(task: TaskConfig, gain: float) -> PIDGains:
-    """A proportional controller (1/m) that adds the overlap of the valve; saturation leaves nothing in its integral."""
-    return PIDGains(
-        proportional=gain,
-        integral=0.0,
-        feedforward_extending=0.0,
-        feedforward_retracting=0.0,
-        anti_windup_time=10.0,
-        overlap_compensation=1.0 if task.plant.valve.overlap else 0.0,
-    )
+def proportional(task: TaskConfig) -> PIDGains:
+    """The recommended gain alone, and the overlap of the valve; saturation leaves nothing in the integral."""
+    gain: Any = gain_sets("pid", task)[0]
+    quiet = {"integral": 0.0, "feedforward_extending": 0.0, "feedforward_retracting": 0.0, "anti_windup_time": 10.0}
+    overlap = 1.0 if task.plant.valve.overlap else 0.0
+    return PIDGains(proportional=float(gain.proportional), overlap_compensation=overlap, **quiet)
 
 
 def controllers_on(task: TaskConfig, weights: str, tuned: Path | None) -> dict[str, Callable[[], Controller]]:
     """What makes each controller on one rig, by name."""
-
-    def gain() -> float:
-        first: Any = gain_sets("pid", task)[0]
-        return float(first.proportional)
-
     makers: dict[str, Callable[[], Controller]] = {
         UNTUNED: lambda: FlowLinearising(FlowLinearisingGains(), task),
         POLICY: lambda: PolicyController.load(weights).moved_to(task),
@@ -105,8 +95,7 @@ def controllers_on(task: TaskConfig, weights: str, tuned: Path | None) -> dict[s
         ),
         PID_OF_RIG: lambda: make_controller("pid", task, searched_gains("pid", task).model_dump()),
         FIGURES: lambda: make_controller("pid", task, gain_sets("pid", task)[0].model_dump()),
-        PROPORTIONAL: lambda: PID(proportional(task, gain()), task),
-        NOTHING: lambda: PID(proportional(task, 0.0), task),
+        PROPORTIONAL: lambda: PID(proportional(task), task),
     }
     if tuned is not None:
         makers[TUNED] = lambda: FlowLinearising(tuned_for(task, tuned, 420), task)
@@ -118,11 +107,10 @@ def rig_rows(
 ) -> list[dict[str, Any]]:
     """A row of results for each controller, or for the chosen ones, on one rig."""
     makers = controllers_on(task, weights, tuned and tuned / f"rig_{number:03}")
-    facts = {"rig": number, "period_ms": 1e3 * task.control_period, "pace_ms": 1e3 * pace(task)}
     skip = 1000 + (400 * number) % 40_000
     judged = task_config(task, episode_duration=seconds)
     names = [name for name in makers if name in (UNTUNED, *chosen) or not chosen]
-    return [{**facts, "controller": name, **measured(makers[name](), judged, skip)} for name in names]
+    return [{"rig": number, "controller": name, **measured(makers[name](), judged, skip)} for name in names]
 
 
 def in_words(ratio: pd.Series) -> list[str]:

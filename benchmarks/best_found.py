@@ -32,7 +32,7 @@ from hydro_env.plant.kernel import (
     Plants,
     integrate,
 )
-from hydro_env.plant.states import N_STATES, State
+from hydro_env.plant.states import State
 from hydro_env.task.configuration import task_config
 from hydro_env.task.fault_effects import FAULT_COLUMNS
 from hydro_env.task.paces import within_a_period
@@ -135,42 +135,42 @@ class Prediction:
     """
 
     def __init__(self, config: TaskConfig, coefficients: Floats, latency: Floats, schedule: Floats) -> None:
-        self.count = len(coefficients)
         self._failure = config.failure
         self._coefficients = coefficients
         self._schedule = schedule
         self._durations = np.stack([latency, config.control_period - latency], axis=1)
         self._accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS_PER_PERIOD)
-        self._rows = (coefficients.copy(), self._durations)
 
-    def positions(self, state: Floats, before: Floats, commands: Floats, step: int) -> Floats:
-        """Positions (N, M, H), m, at the end of each period; infinite from a failure on.
+    def positions(self, state: Floats, before: Floats, commands: Floats, step: int, failing: bool = True) -> Floats:
+        """Positions (N, M, H), m, at the end of each period; infinite from a failure on, if failures count.
 
         Args:
             state: of each plant now, (N, states).
             before: the command that acts until the first of ``commands`` does, (N,), as a fraction of 10 V.
             commands: M sequences for each axis, (N, M, H), as fractions of 10 V.
             step: number of the period that begins.
+            failing: whether failures count.
         """
         axes, sequences, horizon = commands.shape
-        states = np.tile(state, (sequences, 1, 1))  # (M, N, states)
-        volts = FULL_VOLTAGE * commands.transpose(2, 1, 0)  # (H, M, N)
-        voltage = np.empty((sequences, axes, 2))
-        voltage[..., 1] = FULL_VOLTAGE * before
-        peaks = np.zeros((sequences, axes, N_PEAKS))
-        positions = np.empty((axes, sequences, horizon))
-        failed = np.zeros((sequences, axes), dtype=np.bool_)
+        rows = sequences * axes
+        states = np.tile(state, (sequences, 1))  # of the axes for each sequence
+        coefficients = np.tile(self._coefficients, (sequences, 1))
+        durations = np.tile(self._durations, (sequences, 1))
+        volts = FULL_VOLTAGE * commands.transpose(2, 1, 0).reshape(horizon, rows)
+        voltage = np.tile(FULL_VOLTAGE * before, (2, sequences)).T.copy()
+        peaks, failed = np.zeros((rows, N_PEAKS)), np.zeros(rows, dtype=np.bool_)
+        positions = np.empty((horizon, rows))
         for period in range(horizon):
-            voltage[..., 0] = voltage[..., 1]
-            voltage[..., 1] = volts[period]
-            self._advance(states, voltage, peaks, step + period)
-            failed |= (peaks[..., IMPACT_SPEED] > self._failure.end_stop_speed) | (
-                peaks[..., PEAK_PRESSURE] > self._failure.pressure_rating
-            )
-            position = states[..., POSITION]
-            failed |= ~np.isfinite(position)
-            positions[:, :, period] = np.where(failed, np.inf, position).T
-        return positions
+            voltage[:, 0] = voltage[:, 1]
+            voltage[:, 1] = volts[period]
+            now = self._schedule[min(step + period, len(self._schedule) - 1)]
+            coefficients.reshape(sequences, axes, -1)[..., SCHEDULED] = now
+            integrate(Plants(states, coefficients, voltage, durations, peaks), self._accuracy, 0, rows)
+            position = states[:, POSITION]
+            failed |= peaks[:, IMPACT_SPEED] > self._failure.end_stop_speed
+            failed |= (peaks[:, PEAK_PRESSURE] > self._failure.pressure_rating) | ~np.isfinite(position)
+            positions[period] = np.where(failed & failing, np.inf, position)
+        return np.ascontiguousarray(positions.reshape(horizon, sequences, axes).transpose(2, 1, 0))
 
     def sensitivities(self, state: Floats, before: Floats, commands: Floats, step: int) -> tuple[Floats, Floats]:
         """Positions (N, H) of one sequence of commands (N, H), and their change per change of each command (N, H, H).
@@ -178,41 +178,12 @@ class Prediction:
         Entry [n, i, j] is the change of the position at the end of period i, m per 1 of command j. The differences are
         one-sided, towards the middle of the range of commands. The other arguments are those of :meth:`positions`.
         """
-        axes, horizon = commands.shape
+        horizon = commands.shape[1]
         changes = np.where(commands > 0.0, -PERTURBATION, PERTURBATION)
-        # Copy 0 of each plant follows the commands; copy j + 1 has another command in period j.
-        states = np.empty((horizon + 1, axes, N_STATES))
-        states[0] = state
-        voltage = np.empty((horizon + 1, axes, 2))
-        voltage[0, :, 1] = FULL_VOLTAGE * before
-        peaks = np.zeros((horizon + 1, axes, N_PEAKS))
-        positions = np.empty((horizon, horizon + 1, axes))
-        for period in range(horizon):
-            own, last = period + 1, period + 2
-            states[own] = states[0]
-            voltage[own] = voltage[0]
-            voltage[:last, :, 0] = voltage[:last, :, 1]
-            voltage[:last, :, 1] = FULL_VOLTAGE * commands[:, period]
-            voltage[own, :, 1] += FULL_VOLTAGE * changes[:, period]
-            self._advance(states[:last], voltage[:last], peaks[:last], step + period)
-            positions[period, :last] = states[:last, :, POSITION]
-            positions[period, last:] = positions[period, 0]
-        differences = (positions[:, 1:] - positions[:, :1]) / changes.T
-        return np.ascontiguousarray(positions[:, 0].T), np.ascontiguousarray(differences.transpose(2, 0, 1))
-
-    def _advance(self, states: Floats, voltage: Floats, peaks: Floats, step: int) -> None:
-        """Advance copies of the plants, (copies, N, …) each, by one control period, in place."""
-        copies = len(states)
-        rows = copies * self.count
-        if len(self._rows[0]) < rows:
-            self._rows = (np.tile(self._coefficients, (copies, 1)), np.tile(self._durations, (copies, 1)))
-        coefficients, durations = self._rows
-        now = self._schedule[min(step, len(self._schedule) - 1)]
-        coefficients[:rows].reshape(copies, self.count, -1)[..., SCHEDULED] = now
-        plants = Plants(
-            states.reshape(rows, -1), coefficients, voltage.reshape(rows, -1), durations, peaks.reshape(rows, -1)
-        )
-        integrate(plants, self._accuracy, 0, rows)
+        moved = np.concatenate([np.zeros((1, horizon)), np.eye(horizon)]) * changes[:, None, :]
+        positions = self.positions(state, before, commands[:, None, :] + moved, step, failing=False)
+        differences = (positions[:, 1:] - positions[:, :1]) / changes[:, :, None]
+        return positions[:, 0], np.ascontiguousarray(differences.transpose(0, 2, 1))
 
 
 def true_schedule(config: TaskConfig, axes: Axes, periods: int) -> Floats:

@@ -8,7 +8,6 @@ date in ``origin.json``, which marks it as finished: a later call leaves it out.
 
 from __future__ import annotations
 
-import argparse
 import json
 import shlex
 import subprocess
@@ -18,6 +17,7 @@ from typing import Any
 
 import yaml
 
+from benchmarks import command_line
 from hydro_agents.running.machine import Origin
 from hydro_env.files import write_text
 
@@ -44,13 +44,10 @@ def compute(entry: dict[str, Any], folder: Path) -> None:
 
 def main() -> None:
     """Compute what is not finished, then put the tables into the pages and draw their pictures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--list", action="store_true", help="show the plan only")
-    parser.add_argument("--only", nargs="+", choices=[entry["folder"] for entry in PLAN])
-    parser.add_argument("--results", type=Path, default=Path("results"))
-    given = parser.parse_args()
-    chosen = [entry for entry in PLAN if given.only is None or entry["folder"] in given.only]
-    for entry in chosen:
+    given = command_line(__doc__, list=False, only={entry["folder"]: entry for entry in PLAN}, results=Path("results"))
+    for entry in PLAN:
+        if entry["folder"] not in given.only:
+            continue
         folder = given.results / entry["folder"]
         done = (folder / ORIGIN).is_file()
         state = "done" if done else f"{entry['minutes']} min"

@@ -1,28 +1,28 @@
-"""What ``hydro diagnose`` answers on 300 recordings that are mangled as maintenance people export them.
+"""What ``hydro diagnose`` answers on 236 recordings that are mangled as maintenance people export them.
 
 Run: python benchmarks/hostile_inputs.py FOLDER [--jobs 1]
 
-``hostile_recordings.py`` lists the ways. ``cases.csv`` in the folder holds every case; those in it are left out.
-Where the message advises something that the map or the command can say, the recording is read again with the advice
-followed, as a reader of the message would. Verdict, leak and causes come from the diagnosis; only advice is text.
+Each way to mangle says what of it is true of the axis, so that a verdict may name it: a sensor that sticks really
+sticks. Only what no reading can tell apart is true as well: a position that reads 5 % too much looks like a larger
+valve. ``cases.csv`` in the folder holds every case; those in it are left out.
 """
 
 from __future__ import annotations
 
 import contextlib
+import gzip
 import io
-import re
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime, timedelta
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
-import yaml
 
 from benchmarks import command_line
-from benchmarks.hostile_recordings import manglings
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import load_head
@@ -31,18 +31,235 @@ from hydro_env import HydroError, TaskConfig
 from hydro_rig.diagnosis.diagnose import Diagnosis, diagnose
 from hydro_rig.diagnosis.verdict import Kind, Leak, Limits
 from hydro_rig.estimation.estimator import WEAR
-from hydro_rig.recordings.columns import own_map, read_map
-from hydro_rig.recordings.files import read_columns
-from hydro_rig.recordings.findings import Weight, lines_of
+from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.simulated import record_axis
 
 TASK = TaskConfig(episode_duration=10.0)
 LIMITS = Limits.of(TASK)
 AXES = [(2, 0.01), (1, 0.3), (1, 0.01), (2, 0.3)]  # seed, leak in l/min at 100 bar
-MOST_ADVICE = 3  # times that advice is followed on the way to an answer
 REFUSED = "refused"  # as kind of an answer
 OUTCOMES = ["traceback", "healthy called leaking", "leaking called healthy", "wrong cause", "wrong size", "cannot tell"]
 WRONG = OUTCOMES[:5]
+
+Change = Callable[[pd.DataFrame], pd.DataFrame]
+Values = Callable[[Any], Any]  # of the values of a column
+Write = Callable[[pd.DataFrame], bytes]
+
+COLUMNS = ["time [s]", "position [mm]", "pressure_a [bar]", "pressure_b [bar]", "spool_position [%]", "command [V]"]
+TIME, POSITION, A, B, SPOOL, COMMAND = COLUMNS
+PRESSURES = [A, B]
+HALF_STROKE, DAY = 200.0, 86400.0  # mm, s
+START = datetime(2026, 3, 1, 8)
+GERMAN = ["Zeit [s]", "Weg [mm]", "Druck A [bar]", "Druck B [bar]", "Ventilschieber [%]", "Stellgröße [V]"]
+
+
+def csv(sep: str = ",", decimal: str = ".", encoding: str = "utf-8", text: Callable[[str], str] = str) -> Write:
+    """A writer of CSV; ``text`` is what is done to its text."""
+    return lambda table: text(table.to_csv(index=False, sep=sep, decimal=decimal, lineterminator="\n")).encode(encoding)
+
+
+class Mangling(NamedTuple):
+    """One way to mangle a recording."""
+
+    kind: str
+    change: Change = pd.DataFrame.copy
+    write: Write = csv()
+    true: frozenset[str] = frozenset()  # causes that a verdict may name: signals, and unknowns of the estimator
+    ending: str = "csv"
+
+
+def on(names: str | Sequence[str], function: Values) -> Change:
+    """Apply a function to the values of some columns."""
+    listed = [names] if isinstance(names, str) else names
+    return lambda table: table.assign(**{name: function(table[name]) for name in listed})
+
+
+def renamed(names: Mapping[str, str], function: Values | None = None) -> Change:
+    """Other headings; the function changes the values of the first."""
+    changed = on(next(iter(names)), function or (lambda values: values))
+    return lambda table: changed(table).rename(columns=names)
+
+
+def dated(pattern: str, step: float = 0.001, pause: float = 0.0) -> Change:
+    """Dates and times, cut to steps in s, with a pause in the middle; MS are milliseconds."""
+
+    def texts(time: pd.Series) -> list[str]:
+        seconds = np.floor(time.to_numpy() / step + 1e-6) * step
+        stamps = [START + timedelta(seconds=float(second) + 1e-7) for second in seconds]
+        return [one.strftime(pattern).replace("MS", f"{one.microsecond // 1000:03d}") for one in stamps]
+
+    return lambda table: renamed({TIME: "time"}, texts)(paused(pause)(table))
+
+
+def paused(pause: float) -> Change:
+    """The stamps of the second half of the rows are later by a pause in s."""
+    return on(TIME, lambda time: time + pause * (np.arange(len(time)) >= 0.5 * len(time)))
+
+
+def moved(names: str | Sequence[str], rows: int) -> Change:
+    """Columns whose values stand some rows late."""
+    return on(names, lambda values: values.shift(rows).bfill().ffill())
+
+
+def steps(names: str | Sequence[str], size: float) -> Change:
+    """Readings that are rounded to steps."""
+    return on(names, lambda values: ((values / size).round() * size).round(9))
+
+
+def sometimes(share: float, function: Values) -> Values:
+    """Change a share of the readings at random places."""
+    return lambda values: values.mask(np.random.default_rng(2).random(len(values)) < share, function(values))
+
+
+def held(values: pd.Series) -> Any:
+    """The first reading for ever."""
+    return values.iloc[0]
+
+
+def rows(function: Callable[[pd.DataFrame], Any]) -> Change:
+    """Some rows in some order, given by their numbers or as a mask."""
+    return lambda table: table.iloc[np.asarray(function(table))]
+
+
+def jittering(time: pd.Series) -> Any:
+    """Stamps that jitter by 4 ms, in the right order."""
+    return np.sort(time + 4e-3 * np.random.default_rng(3).standard_normal(len(time))).round(6)
+
+
+def set_point(table: pd.DataFrame) -> pd.DataFrame:
+    """The wanted position as command: 10 V are half a stroke."""
+    wanted = table[POSITION].rolling(9, center=True, min_periods=1).mean().shift(-8).ffill()
+    return table.assign(**{COMMAND: 10.0 / HALF_STROKE * wanted})
+
+
+def difference(table: pd.DataFrame) -> pd.DataFrame:
+    """The difference of the pressures instead of both."""
+    return renamed({A: "load_pressure [bar]"})(table.assign(**{A: table[A] - table[B]}).drop(columns=B))
+
+
+def long_format(table: pd.DataFrame) -> pd.DataFrame:
+    """One row per reading."""
+    return table.melt(TIME, var_name="tag", value_name="value").sort_values(TIME, kind="stable")
+
+
+def spaced(text: str) -> str:
+    """Columns between spaces, and headings behind a percent sign."""
+    return "% " + text.replace(" [", "[").replace(",", " ")
+
+
+def quoted_commas(text: str) -> str:
+    """Decimal commas in cells with quotes."""
+    return ('"' + text.replace(",", '","').replace("\n", '"\n"').replace(".", ",")).removesuffix('"')
+
+
+CHANGES: dict[str, dict[str, Change]] = {
+    "stamps": {
+        "whole seconds, German dates": dated("%d.%m.%Y %H:%M:%S", 1.0),
+        "whole seconds, numbers": on(TIME, lambda time: np.floor(time + 1e-6)),
+        "all stamps equal": on(TIME, lambda time: 0.0 * time),
+        "US dates with PM": dated("%m/%d/%Y %I:%M:%S.MS %p"),
+        "days of Excel": renamed({TIME: "time"}, lambda time: (46082 + time / DAY).round(10)),
+        "number of the row": renamed({TIME: "time"}, lambda time: range(len(time))),
+    },
+    "clocks": {
+        "stamps jitter by 4 ms": on(TIME, jittering),
+        "clock 5 % fast": on(TIME, lambda time: 1.05 * time),
+        "newest row first": rows(lambda table: np.arange(len(table))[::-1]),
+        "counter overflows at 4.096 s": on(TIME, lambda time: (time % 4.096).round(6)),
+        "clock set back by 0.3 s": paused(-0.3),
+        "pause of a minute": paused(60.0),
+        "pause of a day": paused(DAY),
+        "summer time ends": dated("%Y-%m-%dT%H:%M:%S.MS", pause=-3600.0),
+    },
+    "rows": {
+        "row of means": lambda table: pd.concat([table, table.mean().to_frame().T.assign(**{TIME: 2000.0})]),
+        "each row twice": rows(lambda table: np.repeat(np.arange(len(table)), 2)),
+        "5 % of the rows lost": rows(lambda table: np.random.default_rng(4).random(len(table)) > 0.05),
+        "a second of rows lost": rows(lambda table: np.delete(np.arange(len(table)), np.s_[900:1100])),
+        "one row per reading": long_format,
+    },
+    "units": {
+        "position in cm, called mm": on(POSITION, lambda values: 0.1 * values),
+        "pressures in MPa, called bar": on(PRESSURES, lambda values: 0.1 * values),
+        "command in %, called V": on(COMMAND, lambda values: 10.0 * values),
+        "spool in mA, called %": on(SPOOL, lambda values: 12.0 + 0.08 * values),
+        "position from the end of the stroke": on(POSITION, lambda values: values + HALF_STROKE),
+        "absolute pressures": on(PRESSURES, lambda bar: bar + 1.013),
+    },
+    "wiring": {
+        "position reversed": on(POSITION, lambda values: -values),
+        "spool reversed": on(SPOOL, lambda values: -values),
+        "command reversed": on(COMMAND, lambda values: -values),
+        "chambers exchanged": renamed({A: B, B: A}),
+        "set point as command": set_point,
+        "only the difference of pressures": difference,
+    },
+    "resolution": {
+        "pressures in steps of 1 bar": steps(PRESSURES, 1.0),
+        "position in steps of 1 mm": steps(POSITION, 1.0),
+    },
+    "channels": {
+        "pressures 5 rows late": moved(PRESSURES, 5),
+        "position 2 rows late": moved(POSITION, 2),
+        "command 3 rows early": moved(COMMAND, -3),
+        "pressures in each 4th row, repeated": on(
+            PRESSURES, lambda bar: bar.where(np.arange(len(bar)) % 4 == 0).ffill()
+        ),
+    },
+    "columns": {
+        "German headings": renamed(dict(zip(COLUMNS, GERMAN, strict=True))),
+        "no spool position": lambda table: table.drop(columns=SPOOL),
+    },
+}
+TEXTS: dict[str, Write] = {
+    "semicolons and decimal commas": csv(";", ","),
+    "UTF-16": csv("\t", encoding="utf-16"),
+    "decimal commas in quotes": csv(text=quoted_commas),
+    "six lines before": csv(text=lambda text: "Logger 7\nPlant: 3, hall 2\n\nRate: 200\nUnit: x\n\n" + text),
+    "headings behind %": csv(text=spaced),
+    "truncated": csv(text=lambda text: text[: int(0.7 * len(text)) + 3]),
+}
+FAULTS: dict[str, dict[str, Values]] = {
+    A: {
+        "offset of 2 bar": lambda bar: bar + 2.0,
+        "gain of 1.05": lambda bar: 1.05 * bar,
+        "noise of 3 bar": lambda bar: bar + 3.0 * np.random.default_rng(1).standard_normal(len(bar)),
+        "spikes": sometimes(0.01, lambda bar: bar + 100.0),
+        "clipped": lambda bar: bar.clip(upper=bar.quantile(0.6)),
+        "stuck": held,
+    },
+    POSITION: {
+        "offset of 5 mm": lambda mm: mm + 5.0,
+        "gain of 1.05": lambda mm: 1.05 * mm,
+        "spikes": sometimes(0.01, lambda mm: mm + 100.0),
+        "stuck": held,
+    },
+    SPOOL: {
+        "offset of 2 %": lambda values: values + 2.0,
+        "gain of 1.05": lambda values: 1.05 * values,
+        "dead": lambda values: 0.0 * values,
+    },
+}
+TRUE = {
+    "absolute pressures": "pressure_a pressure_b supply.tank_pressure",
+    "position: gain of 1.05": "position valve.rated_flow",
+}
+"""Causes that are true of a mangling, beside the signal of a fault."""
+
+
+def manglings() -> dict[str, Mangling]:
+    """All ways by name; with two healthy and two leaking axes they make 236 recordings."""
+    found = {"compressed": Mangling("text", write=lambda table: gzip.compress(csv()(table)), ending="csv.gz")}
+    found |= {name: Mangling("text", write=write) for name, write in TEXTS.items()}
+    for kind, changes in CHANGES.items():
+        for name, change in changes.items():
+            found[name] = Mangling(kind, change, true=frozenset(TRUE.get(name, "").split()))
+    for column, faults in FAULTS.items():
+        signal = column.split(" ")[0]
+        for what, fault in faults.items():
+            true = TRUE.get(f"{signal}: {what}", signal)
+            found[f"{signal}: {what}"] = Mangling("sensors", on(column, fault), true=frozenset(true.split()))
+    return found
 
 
 class Answer(NamedTuple):
@@ -51,7 +268,7 @@ class Answer(NamedTuple):
     kind: str  # of the verdict, or "refused", or "traceback"
     causes: frozenset[str] = frozenset()  # that the verdict names: signals, and unknowns of the estimator
     leak: Leak | None = None
-    text: str = ""  # all that was said; advice stands there
+    text: str = ""
 
 
 def outcome(answer: Answer, truth: float, true: frozenset[str]) -> str:
@@ -99,89 +316,47 @@ def head() -> LeakageHead:
     return load_head(None, TASK)
 
 
-def answer_of(file: Path, columns: Path | None, window: float) -> Answer:
-    """The answer of the command with a map and a length of windows in s."""
+def answer_of(file: Path) -> Answer:
+    """The answer of the command."""
     try:
         with contextlib.redirect_stderr(io.StringIO()):
-            given = None if columns is None else read_map(columns)
-            diagnosis = diagnose(file, TASK, head(), given, window)
+            diagnosis = diagnose(file, TASK, head())
     except HydroError as error:
         return Answer(REFUSED, text=str(error))
     except Exception:
         return Answer("traceback", text=traceback.format_exc()[-500:])
     verdict = diagnosis.verdict
-    text = "\n".join([verdict.why, *lines_of(diagnosis.checked.findings)])
-    return Answer(verdict.kind.value, causes_of(diagnosis), verdict.leak, text)
+    return Answer(verdict.kind.value, causes_of(diagnosis), verdict.leak, verdict.why)
 
 
-def followed(answer: Answer, columns: Mapping[str, Any], window: float) -> tuple[dict[str, Any], float, str]:
-    """The map and the windows that an answer advises, and the advice in short; empty: it advises nothing else."""
-    changed: dict[str, Any] = {name: dict(entry) for name, entry in columns.items()}
-    advice = []
-    if "time" in changed and (found := re.search(r"equidistant: ([\w.]+(?: m?s)?)\b", answer.text)):
-        advice.append(found[0])
-        changed["time"]["equidistant"] = yaml.safe_load(found[1])
-    for line in answer.text.split("\n"):
-        signals = [name for name in changed if re.match(rf"{name}\b", line)]
-        signals = ["pressure_a", "pressure_b"] if line.startswith("pressures read") else signals
-        if found := re.search(r"in (\S+)(?: or \S+)? instead of \S+ would fit", line):
-            advice += [f"{signal} in {found[1]}" for signal in signals]
-            for signal in signals:
-                changed[signal]["unit"] = found[1]
-        elif found := re.search(r"an offset of (\S+) \S+ would fit", line):
-            advice += [f"{signal} + {found[1]}" for signal in signals]
-            for signal in signals:
-                changed[signal]["offset"] = float(found[1])
-    if found := re.search(r"--window ([\d.]+)", answer.text):
-        advice.append(found[0])
-        window = float(found[1])
-    return changed, window, ", ".join(sorted(set(advice)))
-
-
-def rows_of(case: int, folder: Path) -> Iterator[dict[str, Any]]:
-    """One row for a recording as it is, and one more each time that new advice is followed."""
+def rows_of(case: int, folder: Path) -> list[dict[str, Any]]:
+    """The row of a case."""
     (seed, leak), ways = AXES[case % len(AXES)], list(manglings().items())
     name, mangling = ways[case // len(AXES)]
-    recording, place = folder / f"axis_{seed}_{leak:g}.csv", folder / f"map_{case}.yaml"
     file = folder / f"mangled_{case}.{mangling.ending}"
-    file.write_bytes(mangling.write(mangling.change(pd.read_csv(recording, comment="#"))))
-    columns: dict[str, Any] | None = None
-    window, advice, taken = 2.0, "", []
-    for _ in range(1 + MOST_ADVICE):
-        answer = answer_of(file, None if columns is None else place, window)
-        row = {"case": case, "axis": seed, "leak": leak, "kind": mangling.kind, "mangling": name, "advice": advice}
-        row |= {"outcome": outcome(answer, leak, mangling.true), "causes": " ".join(sorted(answer.causes))}
-        row["verdict"] = f"{answer.kind}: {' '.join(answer.text.split())[:400]}"
-        yield row | (answer.leak._asdict() if answer.leak is not None else {})
-        if columns is None and answer.kind != "traceback":
-            with contextlib.suppress(HydroError):
-                given = own_map(read_columns(file).headings, str(file))
-                columns = {signal: {"column": column.column} for signal, column in given.columns().items()}
-        columns, window, advice = followed(answer, columns or {}, window)
-        taken.append(advice)
-        if not advice or advice in taken[:-1]:
-            break
-        place.write_text(yaml.safe_dump(columns, allow_unicode=True))
+    file.write_bytes(mangling.write(mangling.change(pd.read_csv(folder / f"axis_{seed}_{leak:g}.csv", comment="#"))))
+    answer = answer_of(file)
+    row = {"case": case, "axis": seed, "leak": leak, "kind": mangling.kind, "mangling": name}
+    row |= {"outcome": outcome(answer, leak, mangling.true), "causes": " ".join(sorted(answer.causes))}
+    row["verdict"] = f"{answer.kind}: {' '.join(answer.text.split())[:400]}"
+    return [row | (answer.leak._asdict() if answer.leak is not None else {})]
 
 
 def main() -> None:
-    """Diagnose all mangled recordings; print tables by kind, and the cases with a wrong answer."""
+    """Diagnose all mangled recordings; print a table by kind, and the cases with a wrong answer."""
     given = command_line(__doc__, "folder", jobs=1)
     given.folder.mkdir(parents=True, exist_ok=True)
     for seed, leak in AXES:
         record_axis(given.folder / f"axis_{seed}_{leak:g}.csv", TASK, shipped("pid", TASK), seed, leak)
     cases = range(len(AXES) * len(manglings()))
     table = kept_rows(given.folder / "cases.csv", "case", cases, partial(rows_of, folder=given.folder), given.jobs)
-    table["advice"] = table["advice"].fillna("")
-    for title, part in (("as it is", table[table.advice == ""]), ("advice followed", table[table.advice != ""])):
-        if len(part):
-            counts = pd.crosstab(part.kind, part.outcome, rownames=["kind"], colnames=[title], margins=True)
-            names = [name for name in ["right", REFUSED, *OUTCOMES[::-1], "All"] if name in counts]
-            print(counts[names].to_string(), end="\n\n")
+    counts = pd.crosstab(table.kind, table.outcome, margins=True)
+    names = [name for name in ["right", REFUSED, *OUTCOMES[::-1], "All"] if name in counts]
+    print(counts[names].to_string(), end="\n\n")
     wrong = table[table.outcome.isin(WRONG)]
     print(f"{len(wrong)} wrong answers")
     for row in wrong.itertuples():
-        print(f"{row.outcome}: axis {row.axis}, {row.leak:g} l/min, {row.mangling} ({row.advice}): {row.verdict[:160]}")
+        print(f"{row.outcome}: axis {row.axis}, {row.leak:g} l/min, {row.mangling}: {row.verdict[:160]}")
 
 
 if __name__ == "__main__":

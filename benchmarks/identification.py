@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from benchmarks import command_line
@@ -53,8 +52,8 @@ def unknowns_of(seed: int, first: int, folder: Path) -> Iterator[dict[str, Any]]
     for one in fit.unknowns:
         value = hidden.true[one.name]
         away = abs(value - 0.5 * (one.low + one.high)) / max((one.high - one.low) / 3.92, 1e-300)
-        judged = {"determined": fit.knows(one), "side": one.side, "within": bool(one.low <= value <= one.high)}
-        yield row | {"unknown": one.name, **judged, "left": one.remaining, "away": float(away)}
+        judged = {"determined": fit.knows(one), "within": bool(one.low <= value <= one.high)}
+        yield row | {"unknown": one.name, **judged, "away": float(away)}
 
 
 def columns_of(rows: pd.DataFrame) -> list[str]:
@@ -92,14 +91,13 @@ def report(rows: pd.DataFrame) -> None:
         return
     shares = done.groupby("seed")["share"].first()
     print(f"share of the position's variance: median {shares.median():.3%}, lowest {shares.min():.3%}")
-    sided = done[done["side"] != 0]
-    print(f"one end known: {len(sided)}, of which {int(sided['within'].sum())} hold the truth\n")
+    print()
     lines = []
     for name, own in done.groupby("unknown", sort=False):
         known = own["determined"].astype(bool)
         within = f"{own.loc[known, 'within'].mean():.0%}" if known.any() else "–"
-        lines.append((str(name), f"{known.mean():.0%}", within, f"{np.median(own['left']):.3f}"))
-    print(markdown(("unknown", "determined", "within", "median uncertainty left"), lines))
+        lines.append((str(name), f"{known.mean():.0%}", within))
+    print(markdown(("unknown", "determined", "within"), lines))
 
 
 def main() -> None:

@@ -1,9 +1,9 @@
 """Gains of flow linearisation for rigs that nobody tunes: one set for any rig, and sets of which a simulation chooses.
 
-Run: python benchmarks/no_tuning.py tune [--evaluations 700] [--folder FOLDER]
-     python benchmarks/no_tuning.py sets [--rigs 24] [--evaluations 252] [--folder FOLDER]
+Run: python benchmarks/no_tuning.py [--evaluations 700] [--folder FOLDER]
+     python benchmarks/no_tuning.py --sets [--rigs 24] [--evaluations 252] [--folder FOLDER]
 
-``tune`` searches one set of gains over rigs of :mod:`hydro_env.task.drawn_rigs`, the defaults of the class. ``sets``
+It searches one set of gains over drawn rigs, the defaults of the class. With ``--sets`` it
 tunes a set for each of some training rigs, and keeps the eight that serve twice as many other ones best together:
 ``configs/agents/flow_linearising_sets.yaml``. ``any_axis.py`` judges them on other drawn rigs. An interrupted run goes
 on where it was.
@@ -11,12 +11,11 @@ on where it was.
 
 from __future__ import annotations
 
-import argparse
-import time
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks import command_line
 from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.learning.loading import usual_gains
 from hydro_agents.learning.rig_gains import costs_on_rig
@@ -38,12 +37,10 @@ def tune_for_any_rig(folder: Path, evaluations: int) -> None:
     """Tune one set of gains over the training rigs, from those of the paper's rig; the folder is the checkpoint."""
     tasks = [drawn_task(task_config("mixed_leaks"), LAW, seed) for seed in RIGS.take(TRAINING_RIGS)]
     start = FlowLinearisingGains(**read_yaml(usual_gains(KIND)))
-    began = time.perf_counter()
 
     def progress(best: Tuned) -> None:
         write_yaml(folder / "gains.yaml", best.gains.model_dump(mode="json"))
-        took = time.perf_counter() - began
-        print(f"{best.evaluations} candidates: {1e3 * best.cost:.5f} mm, {took:.0f} s", flush=True)
+        print(f"{best.evaluations} candidates: {1e3 * best.cost:.5f} mm", flush=True)
 
     search = Search(evaluations=evaluations, cases=CASES, start=start)
     tune(KIND, tasks, search, folder, progress)
@@ -83,16 +80,11 @@ def tuned_for(task: TaskConfig, folder: Path, evaluations: int, cases: int = 42)
 
 def main() -> None:
     """Run one of the two commands."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("tune", "sets"))
-    parser.add_argument("--evaluations", type=int, help="candidates: of all rigs (700), or of a set (252)")
-    parser.add_argument("--rigs", type=int, default=24, help="number of drawn rigs of the sets")
-    parser.add_argument("--folder", type=Path, default=Path("results/no_tuning"))
-    given = parser.parse_args()
-    if given.what == "tune":
-        tune_for_any_rig(given.folder, given.evaluations or 700)
-    else:
+    given = command_line(__doc__, sets=False, evaluations=int, rigs=24, folder=Path("results/no_tuning"))
+    if given.sets:
         sets_for_any_rig(given.folder, given.rigs, given.evaluations or 252)
+    else:
+        tune_for_any_rig(given.folder, given.evaluations or 700)
 
 
 if __name__ == "__main__":

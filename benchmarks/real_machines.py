@@ -3,24 +3,28 @@
 Run: python benchmarks/real_machines.py FOLDER [--only festo shake refusals simulators] [--samples 2 4] [--fit 1 2]
 
 FOLDER holds the folders that benchmarks/notes names; what is absent is left out. The Festo axis is identified from
-steps of some voltages and predicted at the others. The shake table (github.com/SJ-Chuang/TD3-Shake-Table-System) is
-identified from its training runs; each forecast of a test run lasts 2 s and begins at a measured state. Recordings of
-other simulators have their leak in their name, PLANT_MOTION_LEAK_SEED, l/min at 100 bar.
+steps of the voltages ``--fit`` and predicted at the others. The shake table
+(github.com/SJ-Chuang/TD3-Shake-Table-System) is identified from its training runs; each forecast of a test run lasts
+2 s and begins at a measured state. Recordings of other simulators have their leak in their name,
+PLANT_MOTION_LEAK_SEED, l/min at 100 bar.
 """
 
 from __future__ import annotations
 
-import argparse
+from argparse import Namespace
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from benchmarks import command_line
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.text import markdown
 from hydro_env import HydroError, TaskConfig
+from hydro_env.files import read_yaml
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
@@ -30,80 +34,52 @@ from hydro_rig.diagnosis.verdict import Kind, Limits, Verdict
 from hydro_rig.estimation.progress import told_to
 from hydro_rig.identification.found_rig import shown
 from hydro_rig.identification.held_back import HeldBack
-from hydro_rig.identification.identify import identify
+from hydro_rig.identification.identify import Identification, identify
 from hydro_rig.recordings.columns import ColumnMap
 
-RIG = Path(__file__).parent / "festo_tp511.yaml"
-FESTO = "festo_tp511"  # the folder with the MAT files
-SHAKE_RIG = RIG.with_name("shake_table.yaml")
-SHAKE = "td3_shake_table"  # the folder with its folders train and test
-PARTS = ["festo", "shake", "refusals", "simulators"]
+HERE, MAPS = Path(__file__).parent, read_yaml(Path(__file__).with_suffix(".yaml"))
+FESTO, SHAKE = "festo_tp511", "td3_shake_table"  # folders
 SIMULATORS = {"exudyn_axes": {"A1": "a1 t5", "A3": "a2 t2"}, "hopsan_servo_axis": {"B0": "b0 t2", "B1": "b1 t2"}}
 """By folder, the files of rig and task of each plant, by the first letters of its recordings."""
 
 MOVING = 0.3  # of the largest speed
-
-OTHERS = {
-    "sjoberg_hydraulic_crane/crane.csv": {
-        "time": {"column": "sample", "unit": "ms", "gain": 5.0},  # neither the sampling time is known
-        "command": {"column": "valve_opening_u", "unit": "-", "gain": 0.6},
-        # nor a unit: the scales bring its signals into the ranges of the rig
-        # With the other sign the position moves against the valve.
-        "position": {"column": "position_x", "unit": "m", "gain": -0.05},
-        "pressure_a": {"column": "pressure_p", "unit": "bar", "gain": 10.0, "offset": 45.0},
-    },
-    "faster/faster.csv": {
-        "time": {"column": "t", "unit": "s", "equidistant": True},  # five digits: steps of 10 ms after 100 s
-        "command": {"column": "u", "unit": "V"},
-        "position": {"column": "d", "unit": "mm"},
-    },
-    "vtnsi_rotary_actuators/Act_1/*.txt": None,
-    "mbari_wec_bench/FrictionIDMovesWithBiasCurr.exp": {
-        "time": {"column": 1, "unit": "s"},
-        "command": {"column": "RPM", "unit": "-", "gain": 1e-4},
-        "position": {"column": 2, "unit": "in", "offset": -39.0},
-        "pressure_a": {"column": 5, "unit": "psi"},
-        "pressure_b": {"column": 6, "unit": "psi"},
-    },
-}
-"""Recordings of machines that are none of ours, and their maps; ``None``: without a map."""
-
 PERIODS = {"faster/faster.csv": 7.7531e-3}  # s, of the controllers that are not those of the default task
 
 
-def festo_map(chamber: str) -> ColumnMap:
-    """The columns of a file with the pressure of one chamber: raw readings, 20 mm/V."""
-    return ColumnMap.model_validate(
-        {
-            "time": {"column": "t", "unit": "s"},
-            "command": {"column": "w_verdadero2", "unit": "V"},
-            "position": {"column": "poloha_bez_filtr2", "unit": "mm", "gain": 20.0, "offset": -102.9},
-            f"pressure_{chamber}": {"column": "pressure_bez_filtr1", "unit": "MPa"},
-        }
-    )
+def map_of(entries: dict[str, Any] | None) -> ColumnMap | None:
+    """A map of columns."""
+    return None if entries is None else ColumnMap.model_validate(entries)
 
 
-def festo(folder: Path, samples: list[int], fitted: list[int]) -> None:
+def identified(
+    rig: Path, files: Sequence[Path], maps: Sequence[ColumnMap | None], held_back: list[str]
+) -> Identification:
+    """The rig of some files, and what it predicts of those held back; the verdict is printed."""
+    with ProgressDisplay() as display, told_to(display.update):
+        found = identify(list(files), task_config(None, rig=rig), read_rig(rig), list(maps), held_back)
+    print(f"\n{found.verdict()}\n{len(files)} recordings; {len(found.fit.misfit)} windows\n")
+    return found
+
+
+def festo(given: Namespace) -> None:
     """Identify the axis from steps of some voltages and predict the others."""
     names = {
-        folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat": (volts, chamber)
-        for sample in samples
+        given.folder / FESTO / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat": (volts, chamber)
+        for sample in given.samples
         for volts in range(1, 6)
         for chamber in "AB"
     }
-    maps = [festo_map(chamber.lower()) for _, chamber in names.values()]
-    others = [volts for volts in range(1, 6) if volts not in fitted]
-    apart = [f"*_{volts}V_*" for volts in others]
-    with ProgressDisplay() as display, told_to(display.update):
-        found = identify(list(names), task_config(None, rig=RIG), read_rig(RIG), maps, apart)
-    print(f"\n{found.verdict()}\n{len(names)} recordings; {len(found.fit.misfit)} windows\n")
+    entries = dict(MAPS[FESTO])
+    pressure = entries.pop("pressure")
+    maps = [map_of(entries | {f"pressure_{chamber.lower()}": pressure}) for _, chamber in names.values()]
+    others = [volts for volts in range(1, 6) if volts not in given.fit]
+    found = identified(HERE / "festo_tp511.yaml", [*names], maps, [f"*_{volts}V_*" for volts in others])
     fit, lines = found.fit, []
     for one in fit.unknowns:
         look = shown(one.name, found.config.plant)
         cells = [look.value(one.value, one.high - one.low), look.span(one.low, one.high)]
         lines.append((look.words, look.unit, *cells, "yes" if fit.knows(one) else "no"))
-    print(markdown(("unknown", "unit", "found", "95 % interval", "determined"), lines))
-    print()
+    print(markdown(("unknown", "unit", "found", "95 % interval", "determined"), lines), end="\n\n")
     path_of, lines = list(names), []
     for volts in others:
         for place, chamber in enumerate("AB", 1):
@@ -127,27 +103,12 @@ def moving_errors(part: HeldBack, channel: int) -> tuple[float, float]:
     return float(np.nanmedian(error[out])), float(np.nanmedian(error[back]))
 
 
-def shake(folder: Path) -> None:
+def shake(given: Namespace) -> None:
     """Identify the shake table from one of eight training runs, and forecast its test runs over 2 s."""
-    columns = ColumnMap.model_validate(
-        {
-            "time": {"column": "Time", "unit": "s"},
-            "command": {"column": "Voltage command", "unit": "V"},
-            "position": {"column": "Table disp", "unit": "mm"},
-            "load_pressure": {"column": "Delta P", "unit": "MPa"},  # assumed: neither unit nor sign is published
-        }
-    )
-    training, test = (sorted((folder / name).glob("*.csv")) for name in ("train", "test"))
-    with ProgressDisplay() as display, told_to(display.update):
-        files = [*training[::8], *test]
-        found = identify(
-            files,
-            task_config(rig=SHAKE_RIG),
-            read_rig(SHAKE_RIG),
-            [columns] * len(files),
-            [str(one) for one in test],
-        )
-    print(f"\n{found.verdict()}\n")
+    training, test = (sorted((given.folder / SHAKE / name).glob("*.csv")) for name in ("train", "test"))
+    files = [*training[::8], *test]
+    held_back = [str(one) for one in test]
+    found = identified(HERE / "shake_table.yaml", files, [map_of(MAPS[SHAKE])] * len(files), held_back)
     length = round(2.0 / found.config.control_period)
     for channel, name in ((POSITION, "position"), (PRESSURE_A, "load pressure")):
         shares = []
@@ -159,42 +120,39 @@ def shake(folder: Path) -> None:
         print(f"{name}: share of the variance over 2 s, median {np.median(shares):.3f}, worst {np.min(shares):.3f}")
 
 
-def refusals(folder: Path) -> None:
+def refusals(given: Namespace) -> None:
     """What the commands answer to recordings of other machines."""
     rig = "kovari_2015"
     print("\n| recording | command | answer |\n|---|---|---|")
-    for pattern, columns in OTHERS.items():
+    for pattern, entries in MAPS.items():
         config = task_config(None, rig=rig, control_period=PERIODS.get(pattern, TaskConfig().control_period))
-        for path in sorted(folder.glob(pattern))[:1]:
-            columns_map = None if columns is None else ColumnMap.model_validate(columns)
+        for path in sorted(given.folder.glob(pattern))[:1] if "/" in pattern else []:
             for command in ("identify", "diagnose"):
                 try:
                     if command == "identify":
                         known = read_rig(config_file("rigs", Path(rig)))
-                        answer = identify([path], config, known, [columns_map]).verdict()
+                        answer = identify([path], config, known, [map_of(entries)]).verdict()
                     else:
-                        answer = diagnose(path, config, load_head(None, config), columns_map).verdict.line()
+                        answer = diagnose(path, config, load_head(None, config), map_of(entries)).verdict.line()
                 except HydroError as error:
                     answer = str(error).replace(f"{path}: ", "").split("; headings")[0]
                 print(f"| {path.parts[-2]}/{path.name} | {command} | {answer} |", flush=True)
 
 
-def simulators(folder: Path) -> None:
+def simulators(given: Namespace) -> None:
     """The verdicts on recordings of axes with known leaks in simulators that nobody here wrote."""
     print("\n| recording | leak | verdict | leak that was read | |\n|---|---:|---|---|---|")
     count = Counter({"right": 0, "wrong": 0, "cannot tell": 0})
     for name, plants in SIMULATORS.items():
-        for path in sorted((folder / name).glob("*.csv")):
-            rig, task = (folder / name / f"{one}.yaml" for one in plants[path.name[:2]].split())
+        for path in sorted((given.folder / name).glob("*.csv")):
+            rig, task = (given.folder / name / f"{one}.yaml" for one in plants[path.name[:2]].split())
             config, leak = task_config(task, rig=rig), float(path.stem.split("_")[-2])
             found = diagnose(path, config, load_head(None, config)).verdict
             outcome = judged(found, leak, Limits.of(config))
             count[outcome] += 1
             read = found.leak.text().split(" l/min")[0] if found.leak else ""
-            why = "" if found.kind in (Kind.HEALTHY, Kind.UNKNOWN) else found.why
-            print(
-                f"| {path.stem} | {leak:g} | {found.kind}{f': {why}' if why else ''} | {read} | {outcome} |", flush=True
-            )
+            why = "" if found.kind in (Kind.HEALTHY, Kind.UNKNOWN) else f": {found.why}"
+            print(f"| {path.stem} | {leak:g} | {found.kind}{why} | {read} | {outcome} |", flush=True)
     print("\n" + ", ".join(f"{number} {outcome}" for outcome, number in count.items()))
 
 
@@ -206,24 +164,16 @@ def judged(verdict: Verdict, leak: float, limits: Limits) -> str:
     return "right" if right.get(verdict.kind) else "wrong"
 
 
+PARTS = {made.__name__: made for made in (festo, shake, refusals, simulators)}
+
+
 def main() -> None:
     """Print the tables of the recordings that the folder holds."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
-    parser.add_argument("--fit", type=int, nargs="+", default=[1, 2], help="voltages of the steps that are fitted")
-    parser.add_argument("--samples", type=int, nargs="+", default=[2, 4])
-    given = parser.parse_args()
-    parts: dict[str, Callable[[], None]] = {
-        "refusals": lambda: refusals(given.folder),
-        "festo": lambda: festo(given.folder / FESTO, given.samples, given.fit),
-        "shake": lambda: shake(given.folder / SHAKE),
-        "simulators": lambda: simulators(given.folder),
-    }
+    given = command_line(__doc__, "folder", only=PARTS, fit=[1, 2], samples=[2, 4])
     needed = {"festo": given.folder / FESTO, "shake": given.folder / SHAKE}
     for name in given.only:
         if needed.get(name, given.folder).is_dir():
-            parts[name]()
+            PARTS[name](given)
 
 
 if __name__ == "__main__":

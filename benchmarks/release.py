@@ -1,25 +1,36 @@
-"""Build a release and try its wheel as a user would, from a foreign folder and without the repository.
+"""Build a release and try its wheel as a user would, or test other versions of the dependencies.
 
 Run: python benchmarks/release.py [--url https://…]      (``make release``; needs a package index)
+     python benchmarks/release.py --versions             (``make versions``; a few minutes)
 
 Builds sdist and wheel, checks both (twine, check-wheel-contents), and for every Python from 3.11 on that is installed
 makes an environment with the wheel alone, first the environment without learning libraries, then the command line.
 Nothing is uploaded; the last line tells where the files are.
+
+``--versions`` runs a selection of tests with the lowest and with the highest versions of the dependencies that
+pyproject.toml allows. torch has the version of constraints.txt in both: other versions of it cost gigabytes.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 VERSIONS = ("3.11", "3.12", "3.13", "3.14")
 TOOLS = ("build", "twine", "check-wheel-contents")
+TESTS = (
+    *("tests/hydro_env/test_env.py", "tests/hydro_env/test_vector_env.py", "tests/hydro_agents/test_pretrained.py"),
+    "tests/hydro_env/plant/test_known_answers.py",
+)
+TEST_TOOLS = ("pytest", "hypothesis")
 
 FIRST_STEPS = """
 import gymnasium as gym, hydro_env
@@ -47,7 +58,7 @@ LEAK = 10
 
 
 def run(*command: str | Path, cwd: Path = ROOT, code: int = 0, **variables: str) -> str:
-    """Run a command and return what it prints; another exit code than expected ends the release with its output."""
+    """Run a command and return what it prints; another exit code than expected ends the script with its output."""
     done = subprocess.run(
         command, cwd=cwd, env={**os.environ, **variables}, capture_output=True, text=True, check=False
     )
@@ -88,36 +99,56 @@ def tried(interpreter: str, wheel: Path, folder: Path) -> None:
         run(hydro, *command, cwd=folder, code=code, PYTHONPATH="", NUMBA_CACHE_DIR=cache)
 
 
-def main() -> None:
-    """Build, check, try."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--url", default=os.environ.get("HYDRO_ENV_URL", ""), help="address of the repository")
-    parser.add_argument("--output", type=Path, default=ROOT / "dist")
-    arguments = parser.parse_args()
-    if arguments.output.exists():
-        shutil.rmtree(arguments.output)
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        tools = environment(sys.executable, folder / "tools")
-        install(tools, *TOOLS)
-        print("building", flush=True)
-        run(tools, "-m", "build", "--outdir", str(arguments.output), str(ROOT), HYDRO_ENV_URL=arguments.url)
-        (wheel,) = arguments.output.glob("*.whl")
-        (source,) = arguments.output.glob("*.tar.gz")
-        run(tools, "-m", "twine", "check", "--strict", str(wheel), str(source))
-        run(tools.with_name("check-wheel-contents"), str(wheel))
-        found = [name for name in (f"python{version}" for version in VERSIONS) if works(name)]
-        for name in found or [sys.executable]:
-            print(f"{name}: the wheel in a clean environment", flush=True)
-            (folder / Path(name).name).mkdir()
-            tried(name, wheel, folder / Path(name).name)
-    missing = [version for version in VERSIONS if f"python{version}" not in found]
-    if missing:
+def release(folder: Path, url: str) -> None:
+    """Build, check, try, with environments in a folder that nobody keeps."""
+    output = ROOT / "dist"
+    shutil.rmtree(output, ignore_errors=True)
+    tools = environment(sys.executable, folder / "tools")
+    install(tools, *TOOLS)
+    print("building", flush=True)
+    run(tools, "-m", "build", "--outdir", str(output), str(ROOT), HYDRO_ENV_URL=url)
+    (wheel,), (source,) = output.glob("*.whl"), output.glob("*.tar.gz")
+    run(tools, "-m", "twine", "check", "--strict", str(wheel), str(source))
+    run(tools.with_name("check-wheel-contents"), str(wheel))
+    found = [name for name in (f"python{version}" for version in VERSIONS) if works(name)]
+    for name in found or [sys.executable]:
+        print(f"{name}: the wheel in a clean environment", flush=True)
+        (folder / Path(name).name).mkdir()
+        tried(name, wheel, folder / Path(name).name)
+    if missing := [version for version in VERSIONS if f"python{version}" not in found]:
         print(f"not tried, because they are not installed: Python {', '.join(missing)}")
-    if not arguments.url:
+    if not url:
         print("built without an address: the README for the package index has no links into the repository (--url)")
     print(f"{wheel}\n{source}")
 
 
+def versions() -> None:
+    """Test the lowest and the highest allowed versions; the environments in .versions stay."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    tools = [item for item in extras["dev"] if item.startswith(TEST_TOOLS)]
+    allowed = [*project["dependencies"], *extras["render"], *extras["agents"], *tools]
+    highest = [item for item in allowed if not item.startswith("torch")]
+    lowest = [re.sub(r">=([\d.]+).*", r"==\1", item) for item in highest]
+    (torch,) = re.findall(r"^torch==.*", (ROOT / "constraints.txt").read_text(encoding="utf-8"), re.MULTILINE)
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "agents")])
+    for name, wanted in (("lowest", lowest), ("highest", highest)):
+        folder = ROOT / ".versions" / name
+        python = folder / "bin" / "python"
+        run("make", f"VENV={folder}", f"PYTHON={sys.executable}", f"{folder}/.torch")
+        pip = (python, "-m", "pip")
+        run(*pip, "install", "--quiet", "--upgrade", "--upgrade-strategy", "eager", *wanted, torch)
+        print(run(*pip, "freeze"))
+        print(run(python, "-m", "pytest", "-q", *TESTS, PYTHONPATH=paths, NUMBA_CACHE_DIR=str(folder / "numba")))
+
+
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--url", default=os.environ.get("HYDRO_ENV_URL", ""), help="address of the repository")
+    parser.add_argument("--versions", action="store_true", help="test other versions of the dependencies")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        if arguments.versions:
+            versions()
+        else:
+            release(Path(temporary), arguments.url)

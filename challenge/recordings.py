@@ -1,15 +1,12 @@
 """Write the recordings of the challenge and their labels; README.md describes them.
 
-    python -m challenge.recordings FOLDER [--count 600] [--key FILE] [--jobs 2]
+    python -m challenge.recordings FOLDER [--count 600] [--jobs 2]
 
-Each block of 300 recordings follows from its split, its number and the key of the test split: any size can be made,
-continued, and made again. The key is a text in a file; without one the seeds of the test split are public.
+Each block of 300 recordings follows from its split and its number: any size can be made, continued, and made again.
 """
 
 from __future__ import annotations
 
-import argparse
-import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +16,7 @@ import pandas as pd
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
+from benchmarks import command_line
 from challenge.axes import FIRST_NEW, KNOWN, NEW_AXES, axes_table, seed_of, task_of
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.pid import PID
@@ -127,23 +125,9 @@ class _Noted:
         return self.controller.predict(observation, state, episode_start, deterministic)
 
 
-def block_sizes(count: int, split: str) -> list[int]:
-    """The number of recordings in each block of a split, of ``count`` in all splits."""
-    here = round(count * SHARES[split])
-    return [min(BLOCK, here - first) for first in range(0, here, BLOCK)]
-
-
-def block_seeds(split: str, block: int, count: int, key: str) -> NDArray[np.int64]:
-    """Seeds of the recordings of a block."""
-    if split != "test" or not key:
-        return np.array(SEEDS[split].take(count, BLOCK * block))
-    secret = hashlib.sha256(f"{key}/{block}".encode()).digest()
-    return np.random.default_rng(list(secret)).integers(2**31, 2**32, count)  # above all seeds of the ledger
-
-
-def simulated_block(split: str, block: int, count: int, key: str = "") -> tuple[pd.DataFrame, pd.DataFrame]:
+def simulated_block(split: str, block: int, count: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The rows of ``count`` recordings, and their labels."""
-    seeds = block_seeds(split, block, count, key)
+    seeds = np.array(SEEDS[split].take(count, BLOCK * block))
     generator = np.random.default_rng(seeds[0])
     tier = 1 + np.arange(count) % len(TIERS)
     turn_of = np.arange(count) // len(TIERS) % CREWS
@@ -167,7 +151,7 @@ def simulated_block(split: str, block: int, count: int, key: str = "") -> tuple[
             states = generator.choice(3, len(chosen), p=settings.states)
             members = Members(numbers[chosen], seeds[chosen], states, generator.choice(kinds, len(chosen)))
             if len(chosen):
-                parts += simulated_crew(task_of(seed_of(crew.axis, key)), crew, members, generator)
+                parts += simulated_crew(task_of(seed_of(crew.axis)), crew, members, generator)
     parts.sort(key=lambda part: int(part[1]["recording"]))
     return pd.concat([rows for rows, _ in parts], ignore_index=True), pd.DataFrame([label for _, label in parts])
 
@@ -276,39 +260,34 @@ def labels_folder(folder: Path, split: str) -> Path:
     return (folder / "hidden" if split == "test" else folder) / f"{split}_labels"
 
 
-def write_block(folder: Path, split: str, block: int, count: int, key: str) -> None:
+def write_block(folder: Path, split: str, block: int, count: int) -> None:
     """Simulate a block and write its files, the labels last; one that is there stays."""
     labels_file = labels_folder(folder, split) / f"{block:04d}.parquet"
     if labels_file.exists():
         return
-    rows, labels = simulated_block(split, block, count, key)
+    rows, labels = simulated_block(split, block, count)
     (folder / split).mkdir(parents=True, exist_ok=True)
     labels_file.parent.mkdir(parents=True, exist_ok=True)
     rows.to_parquet(folder / split / labels_file.name, index=False, compression="zstd")
     labels.to_parquet(labels_file, index=False, compression="zstd")
 
 
-def write_challenge(folder: Path, count: int = 600, key: str = "", jobs: int = 1) -> None:
+def write_challenge(folder: Path, count: int = 600, jobs: int = 1) -> None:
     """Write the axes, and the recordings and labels of all splits."""
     folder.mkdir(parents=True, exist_ok=True)
-    axes_table(key).to_parquet(folder / "axes.parquet", index=False)
+    axes_table().to_parquet(folder / "axes.parquet", index=False)
     blocks = []
-    for split in SHARES:
-        for block, size in enumerate(block_sizes(count, split)):
-            blocks.append(delayed(write_block)(folder, split, block, size, key))
+    for split, share in SHARES.items():
+        here = round(count * share)
+        for block, first in enumerate(range(0, here, BLOCK)):
+            blocks.append(delayed(write_block)(folder, split, block, min(BLOCK, here - first)))
     Parallel(jobs)(blocks)
 
 
 def main() -> None:
     """Read the arguments and write the files."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--count", type=int, default=600)
-    parser.add_argument("--key", type=Path)
-    parser.add_argument("--jobs", type=int, default=2)
-    given = parser.parse_args()
-    key = given.key.read_text(encoding="utf-8").strip() if given.key else ""
-    write_challenge(given.folder, given.count, key, given.jobs)
+    given = command_line(__doc__, "folder", count=600, jobs=2)
+    write_challenge(given.folder, given.count, given.jobs)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ python -m challenge.score DATA PREDICTIONS... [--split test] [--output scores.cs
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from benchmarks import command_line
 from challenge.recordings import TIERS, labels_folder
 from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.running.statistics import interval, plant_weights, share_interval
@@ -115,12 +115,7 @@ def score(predictions: pd.DataFrame, labels: pd.DataFrame) -> dict[str, float]:
 
 def main() -> None:
     """Score the tables, print the figures, and write them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path)
-    parser.add_argument("predictions", type=Path, nargs="+", help="Parquet files, one for each detector")
-    parser.add_argument("--split", default="test", choices=("train", "validation", "test"))
-    parser.add_argument("--output", type=Path)
-    given = parser.parse_args()
+    given = command_line(__doc__, "data", "predictions...", split=("test", "train", "validation"), output=Path)
     labels = pd.read_parquet(labels_folder(given.data, given.split)).sort_values("recording", ignore_index=True)
     rows = {path.stem: score(pd.read_parquet(path), labels) for path in given.predictions}
     table = pd.DataFrame(rows)

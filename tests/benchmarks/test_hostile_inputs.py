@@ -1,10 +1,9 @@
-"""The judge of mangled recordings tells wrong answers from right ones, and follows advice as a reader would."""
+"""The judge of mangled recordings tells wrong answers from right ones."""
 
 import pandas as pd
 import pytest
 
-from benchmarks.hostile_inputs import Answer, followed, outcome
-from benchmarks.hostile_recordings import COLUMNS, manglings
+from benchmarks.hostile_inputs import COLUMNS, Answer, manglings, outcome
 from hydro_rig.diagnosis.verdict import Kind, Leak
 
 HEALTHY, LEAKING = 0.01, 0.3  # l/min
@@ -24,7 +23,7 @@ SMALL, LARGE, TWICE = Leak(0.01, 0.005, 0.015), Leak(0.3, 0.29, 0.31), Leak(0.61
         (Kind.OTHER, "", SMALL, HEALTHY, "pressure_a: stuck", "wrong cause"),
         (Kind.LEAK, "valve.rated_flow", LARGE, LEAKING, "whole seconds, numbers", "wrong cause"),
         (Kind.LEAK, "valve.rated_flow", LARGE, LEAKING, "position: gain of 1.05", "right"),
-        (Kind.LEAK, "", TWICE, LEAKING, "row of means with a number", "wrong size"),
+        (Kind.LEAK, "", TWICE, LEAKING, "row of means", "wrong size"),
         (Kind.UNKNOWN, "", None, HEALTHY, "summer time ends", "cannot tell"),
         ("refused", "", None, LEAKING, "UTF-16", "refused"),
         ("traceback", "", None, LEAKING, "UTF-16", "traceback"),
@@ -35,29 +34,10 @@ def test_an_answer_is_judged_by_the_truth(verdict, causes, leak, truth, mangling
     assert outcome(Answer(str(verdict), frozenset(causes.split()), leak), truth, true) == judged
 
 
-@pytest.mark.parametrize(
-    ("text", "place", "value"),
-    [
-        ("time has duplicate stamps ('equidistant: true' for the time in the map)", ("time", "equidistant"), True),
-        ("time needs its period, such as equidistant: 5 ms", ("time", "equidistant"), "5 ms"),
-        ("time has one row every 5e+03 ms; stamps in ms instead of s would fit", ("time", "unit"), "ms"),
-        ("position reads 0 mm to 400 mm; an offset of -200 mm would fit", ("position", "offset"), -200.0),
-    ],
-)
-def test_advice_becomes_an_entry_of_the_map(text, place, value):
-    columns = {"time": {"column": 1}, "command": {"column": 6}, "position": {"column": 2}}
-    mapped, window, advice = followed(Answer("cannot tell", text=text), columns, 2.0)
-    assert mapped[place[0]][place[1]] == value
-    assert window == 2.0
-    assert advice
-    assert followed(Answer("healthy", text="time jitters"), columns, 2.0) == (columns, 2.0, "")
-    assert followed(Answer("cannot tell", text="shorter ones (--window 0.5)"), columns, 2.0)[1] == 0.5
-
-
-def test_manglings_make_300_recordings_and_each_writes_a_file():
+def test_manglings_make_236_recordings_and_each_writes_a_file():
     table = pd.DataFrame({name: [0.1 * k + 0.005 * row for row in range(400)] for k, name in enumerate(COLUMNS)})
     found = manglings()
-    assert 4 * len(found) == 300
+    assert 4 * len(found) == 236
     plain = found["semicolons and decimal commas"].write(table)
     files = {name: mangling.write(mangling.change(table)) for name, mangling in found.items()}
     assert all(files.values())
