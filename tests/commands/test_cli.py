@@ -44,20 +44,6 @@ def test_simulate_writes_all_quantities_and_a_picture(tmp_path):
     assert rig["leakage"]["internal_resistance"] == pytest.approx(6e11)
 
 
-def voltages(folder):
-    rows = list(csv.DictReader((folder / "trajectory.csv").open()))
-    return [float(row["voltage [V]"]) for row in rows]
-
-
-def test_simulate_says_which_voltage_acts(tmp_path):
-    """The voltage that holds the start comes on top of --voltage; a leak makes it large enough to be seen."""
-    done("simulate", "--leakage", "1", "--voltage", "3", "--duration", "0.2", "-o", tmp_path / "run")
-    applied = voltages(tmp_path / "run")
-    holding = applied[0]
-    assert holding < -0.1
-    assert max(applied) == pytest.approx(3.0 + holding, rel=1e-8)
-
-
 def test_simulate_starts_where_the_rig_can_rest(tmp_path, monkeypatch):
     """At mid-stroke the leak of this rig takes more than the valve feeds; where the spring bears the load it rests."""
     (tmp_path / "rig.yaml").write_text("load: {external_force: 5000}\nleakage: {internal_resistance: 2.0e+10}\n")
@@ -100,12 +86,6 @@ def test_a_mistake_is_answered_in_one_line_and_leaves_nothing(tmp_path, argument
     assert not (tmp_path / "new").exists()
 
 
-def test_folders_that_cannot_be_written(tmp_path):
-    (tmp_path / "file").write_text("")
-    for folder in (tmp_path / "file", tmp_path / "file" / "below", "/proc/nowhere"):
-        assert_one_clear_line(hydro("simulate", "-o", folder), f"{folder}: cannot be written")
-
-
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
@@ -124,14 +104,6 @@ def test_the_version_is_told_and_without_arguments_the_help():
     answer = hydro()
     assert answer.returncode == 2
     assert "check-rig" in answer.stdout + answer.stderr
-
-
-def test_a_name_with_brackets_or_a_line_break_is_taken_as_it_is(tmp_path):
-    for name in ("a[/b]c\nd", ":smile:"):
-        answer = done("simulate", "--duration", "0.01", "-o", tmp_path / name)
-        assert str(tmp_path / name / "trajectory.csv") in answer.stdout
-        assert (tmp_path / name / "trajectory.csv").exists()
-        assert_one_clear_line(hydro("simulate", "--duration", "0.01", "-o", tmp_path / name), "holds results already")
 
 
 NAMEPLATES = "bore=63mm rod=36mm stroke=0.5m rated-flow=40l/min supply-pressure=160bar mass=200kg -o rig.yaml"

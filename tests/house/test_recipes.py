@@ -118,12 +118,6 @@ def test_the_recipes_do_what_they_say(changed_sources):
     run(changed_sources, "try_plant", "try_task", "try_leak_law", "try_agents", "try_detector", "try_evaluation")
 
 
-@pytest.mark.slow  # compiles estimator and head for the changed sources
-def test_a_further_sensor_changes_no_recording_and_no_reading(changed_sources, tmp_path):
-    watched_axis(tmp_path / "before", {})
-    run(changed_sources, "try_chain", "try_leak_in_estimator")
-
-
 def lively_episode(**task) -> np.ndarray:
     """Observations and true supply pressures of an episode with a given seed and reference, (steps + 1, n + 1)."""
     env, supply = ServoHydraulicEnv(episode_duration=0.2, **task), STATE_NAMES.index("supply_pressure")
@@ -138,37 +132,9 @@ def lively_episode(**task) -> np.ndarray:
 FITTED = {"supply_pressure": {"fitted": True}}
 
 
-def watched_axis(folder: Path, sensors: dict) -> None:
-    """Recordings of the shipped policy and of a PID on an axis with further sensors, and a diagnosis of the latter."""
-    from hydro_agents.detection.monitor import load_head
-    from hydro_agents.learning.loading import load_controller
-    from hydro_rig.diagnosis.diagnose import diagnose, leak_table
-    from hydro_rig.recordings.simulated import record_axis
-
-    folder.mkdir()
-    fitted = task_config(episode_duration=5.0, sensors=sensors)
-    for kind in ("ppo", "pid"):
-        record_axis(folder / f"{kind}.csv", fitted, load_controller(kind, fitted, kind), 3, 1.0, "sine")
-    found = diagnose(folder / "pid.csv", fitted, load_head(None, fitted))
-    assert found.read.estimator is not None
-    assert found.read.companion is not None
-    leak_table(found).to_csv(folder / "leak.csv")
-
-
-def try_chain() -> None:
-    """A further sensor, fitted or not, changes nothing for policy, recording, estimator and leakage head."""
-    watched_axis(Path("after"), FITTED)
-    for file in ("ppo.csv", "pid.csv", "leak.csv"):
-        assert Path("after", file).read_bytes() == Path("before", file).read_bytes(), file
-
-
 def try_leak_law() -> None:
     """Two litres per minute are two, by the new law too, wherever the project speaks of leaks: the new cases run."""
     leak_cases("turbulent and not estimator")
-
-
-def try_leak_in_estimator() -> None:
-    leak_cases("turbulent and estimator")
 
 
 def leak_cases(chosen: str) -> None:

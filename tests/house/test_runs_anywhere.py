@@ -3,7 +3,6 @@
 tests/hydro_env/plant/test_compiled_code.py runs it without a compiler.
 """
 
-import functools
 import json
 import os
 import re
@@ -16,7 +15,6 @@ import gymnasium as gym
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
 
@@ -134,25 +132,6 @@ def test_on_a_processor_without_wide_registers(older):
     cold, warm = (found["compiled"] for found in older)
     assert 0 < cold <= 180
     assert warm == 0  # everything came from the cache
-
-
-COMMANDS = np.random.default_rng(3).uniform(-1, 1, (30, 2, 1)).astype(np.float32)
-MAKE = functools.partial(gym.make, "hydro_env:ServoHydraulic-v0", episode_duration=0.1)
-
-
-def gymnasium_numbers(envs):
-    numbers = [envs.reset(seed=11)[0]]
-    for action in COMMANDS:
-        observation, reward, terminated, truncated, _ = envs.step(action)
-        numbers += [observation.copy(), reward, terminated, truncated]
-    envs.close()
-    return numbers
-
-
-def test_forked_processes_of_gymnasium():
-    """Spawned ones: tests/hydro_env/test_vector_env.py."""
-    alone = gymnasium_numbers(SyncVectorEnv([MAKE] * 2))
-    np.testing.assert_equal(alone, gymnasium_numbers(AsyncVectorEnv([MAKE] * 2, context="fork")))
 
 
 @pytest.fixture(scope="module")

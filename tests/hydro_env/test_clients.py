@@ -2,7 +2,6 @@
 
 import copy
 import json
-import re
 
 import gymnasium as gym
 import numpy as np
@@ -11,29 +10,10 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from refusal import refused
 
-from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.task.rewards import REWARD_TERMS
+from hydro_env import PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 
 ID, NAN = "ServoHydraulic-v0", float("nan")
 BOTH = (ServoHydraulicEnv, ServoHydraulicVectorEnv)
-
-
-@pytest.mark.parametrize("make", BOTH)
-def test_an_unknown_keyword_is_also_a_type_error(make):
-    """Libraries that try a keyword fall back on TypeError alone."""
-    assert not hasattr(make(), "parameters")  # tools inspect an environment before its first reset
-    for kind in (TypeError, ConfigurationError):
-        with pytest.raises(kind, match="frameskip"):
-            make(frameskip=4)
-        with pytest.raises(kind, match="unknown option 'leak'"):
-            make().reset(options={"leak": 1.0})
-    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):  # as torchrl looks for it
-        gym.make(ID, frameskip=4)
-    with pytest.raises(TypeError, match=r"reset\(options={'leakage_flow_lpm': …}\).*unexpected keyword argument"):
-        make(leakage_flow_lpm=2.0)
-    with pytest.raises(TypeError, match="unknown key") as caught:
-        make(config={"frameskip": 4})
-    assert "keyword argument" not in str(caught.value)
 
 
 def test_the_spec_tells_the_length_of_an_episode_and_changes_no_episode():
@@ -55,26 +35,6 @@ def test_the_spec_tells_the_length_of_an_episode_and_changes_no_episode():
     assert recreated.unwrapped.config == vector.unwrapped.config
     assert gym.make(ID, max_episode_steps=7).spec.max_episode_steps == 7
     assert gym.make_vec(ID, num_envs=2, max_episode_steps=7).spec.max_episode_steps == 7
-
-
-def flattened(info):
-    """The numbers of an info with names, as a flat one holds them; which axes they are of is left out."""
-    terms = {f"reward_{name}": values for name, values in info.get("reward_terms", {}).items()}
-    left_out = re.compile("(reward_)?_.*|reference_family|failure|faults|reward_terms")
-    return {name: values for name, values in (info | terms).items() if not left_out.fullmatch(name)}
-
-
-@pytest.mark.parametrize("make", BOTH)
-def test_a_flat_info_holds_the_same_numbers_and_nothing_else(make):
-    options = {"episode_duration": 0.05} | ({} if make is ServoHydraulicEnv else {"num_envs": 3})
-    flat, full = (make(info=kind, **options) for kind in ("flat", True))
-    infos = [env.reset(seed=0)[1] for env in (flat, full)]
-    for _ in range(9):
-        mine, other = infos[0], flattened(infos[1])
-        assert all(np.asarray(value).dtype.kind in "fib" for value in mine.values())
-        assert {f"reward_{name}" for name in REWARD_TERMS} <= set(mine)
-        np.testing.assert_equal({name: mine[name] for name in other}, other)
-        infos = [env.step(np.ones(env.action_space.shape))[-1] for env in (flat, full)]
 
 
 @pytest.mark.parametrize("make", BOTH)

@@ -3,7 +3,6 @@
 ``tests/house/test_recipes.py`` runs these tests with a further law.
 """
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import get_args
 
@@ -11,14 +10,12 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.rigs.simulation import simulate_to_folder
 from hydro_agents.running.seeds import THRESHOLDS
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig, simulate
 from hydro_env.plant.analysis import leak_at_test_pressure
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, Leakage, LeakLaw, internal_leakage, leak_past_piston
 from hydro_env.task.configuration import task_config
-from hydro_env.task.rig import read_rig
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.known_windows import known_windows, leak_cases
@@ -27,7 +24,6 @@ from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE, priors_of
 from hydro_rig.export.plant import fmu_variables, plant_code
 from hydro_rig.identification.found_rig import found_plant
 
-ROOT = Path(__file__).resolve().parents[2]
 FLOW = 2.0  # l/min at 100 bar
 TWO = pytest.approx(FLOW, rel=1e-4)  # every law is smooth about zero, which costs some 1e-5 of the flow
 ANY_LAW = pytest.mark.parametrize("law", get_args(LeakLaw))
@@ -115,14 +111,6 @@ def test_identified_rig(law):
     assert leak_at_test_pressure(found_plant(fit, task_with(law))) == TWO
 
 
-def test_simulate(tmp_path):
-    THROTTLED.to_yaml(tmp_path / "rig.yaml")
-    arguments = {"signal": "step", "voltage": 1.0, "duration": 0.05}
-    where = {"position": None, "overwrite": False}
-    simulate_to_folder(tmp_path / "run", tmp_path / "rig.yaml", **arguments, leakage=FLOW, **where)
-    assert leak_at_test_pressure(read_rig(tmp_path / "run" / "rig.yaml").plant) == TWO
-
-
 @ANY_LAW
 def test_exported_plant(law):
     config = task_config(plant=plant_with(law).model_dump(), leakage={"law": law})
@@ -130,13 +118,3 @@ def test_exported_plant(law):
     assert variables["leakage"].start == TWO
     assert f"rig.leakage.{LEAK_LAWS[law].parameter}" not in variables
     plant_code(plant_with(law))  # every line of the law can be translated
-
-
-def test_coefficients_of_the_laws_are_named_in_one_file():
-    named = [
-        file.relative_to(ROOT).as_posix()
-        for folder in ("hydro_env", "agents/hydro_agents")
-        for file in sorted((ROOT / folder).rglob("*.py"))
-        if any(law.coefficient in file.read_text(encoding="utf-8") for law in LEAK_LAWS.values())
-    ]
-    assert named == ["hydro_env/plant/parts/leakage.py"]

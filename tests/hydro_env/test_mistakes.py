@@ -6,8 +6,6 @@ import pytest
 from command_line import hydro, own_lines
 from refusal import refused
 
-from hydro_agents.study.settings import StudySettings
-from hydro_env import ConfigurationError
 from hydro_env.errors import UnknownKeyError
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
@@ -77,37 +75,3 @@ def test_all_mistakes_of_a_file_are_told_and_the_command_ends_with_code_2(tmp_pa
     answer = hydro("simulate", "--rig", "rig.yaml")
     assert (answer.returncode, own_lines(answer.stderr)[0]) == (2, "hydro: rig.yaml: 9 mistakes")
     assert [file.name for file in tmp_path.iterdir()] == ["rig.yaml"]
-
-
-def test_keywords_keep_their_kinds_of_error():
-    with pytest.raises(UnknownKeyError) as caught:
-        task_config(contrl_period=3, episode_duration=-1, references={"weights": {"stp": 1}})
-    lines = str(caught.value).splitlines()
-    assert lines[:2] == ["task: 3 mistakes", "  episode_duration = -1: must be a number within 0.01 to 3600 (unit: s)"]
-    assert lines[2].startswith("  references.weights.stp = 1: unknown family 'stp'; did you mean step? known: step, ")
-    assert lines[3].endswith("did you mean control_period?; unexpected keyword argument 'contrl_period'")
-    with pytest.raises(ConfigurationError) as caught:
-        task_config(control_period=-1, episode_duration=-1)
-    assert not isinstance(caught.value, TypeError)
-
-
-def test_the_files_that_a_study_names_are_read_too(tmp_path):
-    (tmp_path / "task.yaml").write_text("plant: rig.yaml\ncontrol_period: 5\n")
-    (tmp_path / "rig.yaml").write_text("load: {mas: 3}\n")
-    study = tmp_path / "study.yaml"
-    study.write_text(
-        "task: task.yaml\nleakage_head: absent.yaml\n"
-        "controllers:\n  PID: {kind: PID}\nevaluation: {families: [step, sinus]}\n"
-    )
-    with pytest.raises(ConfigurationError) as caught:
-        StudySettings.from_yaml(study)
-    expected = (
-        "study.yaml: mistakes in 3 places",
-        "  rig.yaml: load.mas = 3: unknown key; did you mean mass?",
-        "  absent.yaml: cannot be read: No such file or directory",
-        "  study.yaml: 2 mistakes",
-        "    controllers.PID.kind = 'PID': unknown; did you mean pid?",
-        "    evaluation.families.1 = 'sinus': unknown family 'sinus'; did you mean sine?",
-    )
-    lines = str(caught.value).replace(f"{tmp_path}/", "").splitlines()
-    assert all(line.startswith(begin) for line, begin in zip(lines, expected, strict=True)), lines

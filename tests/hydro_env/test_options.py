@@ -101,17 +101,6 @@ def test_a_mask_begins_only_some_axes():
     np.testing.assert_array_equal(stepped(envs, 1.0)[~mask], stepped(untouched, 1.0)[~mask])
 
 
-def test_values_per_axis_with_a_mask_may_count_all_or_only_the_chosen_axes():
-    mask = np.array([False, True, False, True])
-    envs = ServoHydraulicVectorEnv(4)
-    envs.reset(seed=0)
-    for values in ([1.0, 2.0, 3.0, 4.0], [2.0, 4.0]):
-        references = 0.01 * np.array(values)[:, None]
-        _, info = envs.reset(options={"reset_mask": mask, "leakage_flow_lpm": values, "reference": references})
-        assert info["leakage_flow_lpm"].tolist() == [0.0, 2.0, 0.0, 4.0]
-        assert info["reference"].tolist() == [0.0, 0.02, 0.0, 0.04]
-
-
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_options_hold_for_one_episode(mode):
     flows = np.array([0.4, 1.4])

@@ -160,28 +160,3 @@ def test_a_copy_goes_on_like_the_original_and_both_may_be_closed_twice(make, dup
     for each in (env, env, other):
         each.close()
     assert np.isfinite(env.reset(seed=0)[0]).all()
-
-
-@BOTH
-def test_without_info(make):
-    env, full = make(info=False), make()
-    rows, info = env.reset(seed=0)
-    assert info == {}
-    np.testing.assert_array_equal(rows, full.reset(seed=0)[0])
-    mine, other = (each.step(np.ones(env.action_space.shape)) for each in (env, full))
-    assert mine[4] == {}
-    np.testing.assert_array_equal(mine[1], other[1])
-
-
-def test_axes_with_faults_or_rare_references_move_beside_others_as_alone():
-    """They begin in another compiled function, which does not change a bit of the others."""
-    options = [{}, {"faults": {"valve_null_shift": 0.02, "pressure_a_gain": 0.1}}, {"reference": "creep"}, {}]
-    envs = ServoHydraulicVectorEnv(4, leakage={"schedule": "growth"})
-    rows, _ = envs.reset(seed=7, options=options)
-    singles = [ServoHydraulicEnv(leakage={"schedule": "growth"}) for _ in options]
-    for axis, (single, own) in enumerate(zip(singles, options, strict=True)):
-        np.testing.assert_array_equal(single.reset(seed=7 + axis, options=own)[0], rows[axis])
-    for _ in range(30):
-        after = envs.step(np.full((4, 1), 0.2))[0]
-        for axis, single in enumerate(singles):
-            np.testing.assert_array_equal(single.step([0.2])[0], after[axis])

@@ -9,11 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from browser import problems_everywhere
-from refusal import refused
 
-from hydro_env.task.sensors import Sensors
 from paper import run as command
-from paper.moves import displacement_table
 from paper.rig import LAWS
 from paper.settling import settling_table
 
@@ -50,20 +47,6 @@ def test_the_page_shows_every_figure_and_needs_nothing_else(folder):
 
 def test_nothing_is_cut_off_in_a_browser(browser, folder):
     assert problems_everywhere(browser, folder / "page.html") == []
-
-
-def test_a_folder_with_results_is_kept_unless_told(folder):
-    with refused("--overwrite"):
-        command.reproduce_to_folder(folder, overwrite=False)
-
-
-def test_recorded_displacement_has_the_noise_of_the_sensor():
-    table = displacement_table()
-    error = 1e-3 * (table["recorded_position_mm"] - table["true_position_mm"])
-    assert error.std() == pytest.approx(Sensors().position.noise, rel=0.1)
-    assert abs(error.mean()) <= Sensors().position.bias
-    travel = table[table["friction"]].groupby("leak_lpm")["true_position_mm"].max()
-    assert travel.is_monotonic_decreasing
 
 
 def test_every_equation_has_a_function_that_exists(folder):

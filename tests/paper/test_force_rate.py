@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from paper.force_rate import TERMS, force_rate_table, shares
+from paper.force_rate import TERMS, force_rate_table
 
 
 @pytest.fixture(scope="module", params=["laminar", "throttle"])
@@ -25,11 +25,3 @@ def test_every_term_is_there_and_leakage_acts_against_the_difference(table):
     against = np.sign(table["internal_leakage_n_s"]) == -np.sign(table["pressure_difference_bar"])
     assert against.all()
     assert (table["external_leakage_n_s"] >= 0.0).all()
-
-
-def test_the_share_of_leakage_grows_with_the_leak(table):
-    told = shares(table)
-    for window in ("move", "stop"):
-        part = told[told["window"] == window].sort_values("leak_lpm")
-        assert np.all(np.diff(part["leakage_share"]) > 0.0)
-        assert part["leakage_share"].between(0.0, 1.0).all()

@@ -3,13 +3,11 @@
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from hydro_env import PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
-from paper.rig import SAMPLE_TIME, quick_stop
-from paper.settling import trends
+from paper.rig import SAMPLE_TIME
 from paper.signals import (
     ACCELEROMETER_RANGE,
     accelerometer_noise,
@@ -66,17 +64,3 @@ def test_accelerometer_noise_and_range():
     assert signal.std() == pytest.approx(0.086, rel=0.05)
     hit = recorded_acceleration(np.full(100, 50.0), SAMPLE_TIME, np.random.default_rng(0))
     assert hit.max() <= ACCELEROMETER_RANGE + 0.01
-
-
-def test_the_stop_is_at_time_zero():
-    run = quick_stop(PlantParameters())
-    assert run.voltage[np.argmin(np.abs(run.time))] == 0.0
-    assert run.voltage[np.argmin(np.abs(run.time)) - 1] == 4.0
-
-
-def test_trends_are_those_of_the_times():
-    row = {"friction": "none", "valve_null_leakage": False, "law": "laminar"}
-    times = {0.01: 2.0, 1.0: 0.5, 4.0: 0.6}
-    found = trends(pd.DataFrame([{**row, "leak_lpm": leak, "clean_s": time} for leak, time in times.items()]))
-    assert not found["falls"].any()
-    assert found.loc[("none", False, "laminar"), 4.0] == 0.6

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from hydro_env import PlantParameters, ServoHydraulicEnv, equilibrium, simulate
-from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import from_vector, to_vector
-from hydro_env.plant.states import ATMOSPHERIC_PRESSURE, STATE_NAMES
+from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 
 SAMPLE = 0.5e-3
 
@@ -45,22 +44,6 @@ def test_the_whole_drive_adds_the_lag_of_the_coil():
     run = step(plant, 1.0, 0.01, rest | {"spool_position": 0.0, "coil_current": 0.0})
     lag = plant.valve.coil_inductance / plant.valve.coil_resistance
     assert np.abs(run.coil_current - 0.25 * (1.0 - np.exp(-run.time / lag))).max() < 1e-6
-
-
-@pytest.mark.parametrize("model", ["spool", "ideal"])
-def test_the_linearisation_knows_ideal_parts(model):
-    """Transfer from voltage to spool: what is ideal neither delays nor weakens it."""
-    axis = linearise(PlantParameters().replace(valve={"model": model}), position=0.02)
-    row, unit = STATE_NAMES.index("spool_position"), np.eye(len(STATE_NAMES))
-    frequency = 100.0
-    gain = np.linalg.solve(1j * frequency * unit - axis.a, axis.b)[row]
-    if model == "ideal":
-        assert abs(gain) == pytest.approx(0.1, rel=1e-5)
-        assert abs(np.angle(gain)) < 2e-3
-    else:
-        omega, zeta = 500.0, 0.8
-        expected = 0.1 / (1.0 - (frequency / omega) ** 2 + 2j * zeta * frequency / omega)
-        assert gain == pytest.approx(expected, rel=2e-3)
 
 
 def test_a_pump_without_accumulator_settles_on_its_relief_valve():

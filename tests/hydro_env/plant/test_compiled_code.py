@@ -1,9 +1,7 @@
 """Compiled code: neighbours, threads and compilation leave a plant's numbers alone; the cache notices changes."""
 
-import itertools
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,13 +10,12 @@ from unittest import mock
 import numba
 import numpy as np
 import pytest
-from numba.core import serialize
 
 import hydro_env
 from hydro_env import ServoHydraulicVectorEnv, compiling
 from hydro_env.axes import Axes
 from hydro_env.plant import kernel
-from hydro_env.plant.states import N_STATES, RIGID, Structure
+from hydro_env.plant.states import N_STATES
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import task_config
 
@@ -104,35 +101,6 @@ def test_the_same_source_uncompiled_gives_the_same_numbers():
     size = np.maximum(np.abs(states).max(axis=0), 1e-9)
     assert np.abs((np.array(uncompiled["states"]) - states) / size).max() < 1e-9
     np.testing.assert_allclose(uncompiled["observations"], compiled["rows"], rtol=0, atol=1e-6)
-
-
-def test_one_digest_covers_every_source_file(tmp_path, monkeypatch):
-    shutil.copytree(
-        Path(compiling.__file__).parent, tmp_path / "hydro_env", ignore=shutil.ignore_patterns("__pycache__")
-    )
-    monkeypatch.setattr(compiling, "__file__", str(tmp_path / "hydro_env" / "compiling.py"))
-    assert compiling._digest_of_sources() == compiling.SOURCES
-    for name in ("plant/parts/valve.py", "task/configuration.py", "env.py"):
-        source = tmp_path / "hydro_env" / name
-        text = source.read_bytes()
-        source.write_bytes(text + b"\n# changed\n")
-        assert compiling._digest_of_sources() != compiling.SOURCES
-        source.write_bytes(text)
-        assert compiling._digest_of_sources() == compiling.SOURCES
-
-
-KERNELS = (task_kernel.begin_usual, task_kernel.begin_any, task_kernel.follow, task_kernel.step_axes, kernel.integrate)
-
-
-def test_the_cache_is_keyed_by_the_digest_and_the_structure():
-    """What else a kernel's closure holds must be the same in every process: else it is compiled anew each time."""
-    for function in KERNELS:
-        cells = dict(zip(function.py_func.__code__.co_freevars, function.py_func.__closure__, strict=True))
-        assert cells.pop("sources").cell_contents == compiling.SOURCES
-    before = serialize.dumps(kernel.lanes_of(RIGID))
-    kernel.lanes_of.cache_clear()
-    assert serialize.dumps(kernel.lanes_of(RIGID)) == before
-    assert len({Structure(*parts).number for parts in itertools.product((False, True), repeat=3)}) == 8
 
 
 def build(sources):

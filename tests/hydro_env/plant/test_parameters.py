@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 from refusal import refused
 
@@ -48,17 +47,6 @@ def test_yaml_and_vector_give_back_an_equal_object(parameters, tmp_path):
     assert vector[PARAMETER_PATHS.index("load.mass")] == parameters.load.mass
     code = int(vector[PARAMETER_PATHS.index("friction.model")])
     assert MODEL_CODES["friction.model"][code] == parameters.friction.model
-
-
-def test_replace_and_vectors_are_validated():
-    with refused(r"unknown group 'loads'; did you mean load\? known: cylinder"):
-        PlantParameters().replace(loads={"mass": 1.0})
-    with refused(r"load\.mass = -1"):
-        PlantParameters().replace(load={"mass": -1.0})
-    vector = to_vector(PlantParameters())
-    vector[PARAMETER_PATHS.index("load.mass")] = np.nan
-    with refused(r"load\.mass = nan"):
-        from_vector(vector)
 
 
 def test_every_bound_itself_is_allowed_and_a_step_beyond_is_not():

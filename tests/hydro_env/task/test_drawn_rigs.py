@@ -1,11 +1,7 @@
 """Tasks whose episodes draw their rig: plausible rigs, disjoint splits, observations in the rig's own units."""
 
-import pickle
-
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from refusal import refused
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
@@ -122,17 +118,6 @@ def test_an_agent_may_have_to_find_out_and_lengths_are_those_of_the_rigs():
     assert len(set(lengths)) > 1
 
 
-def test_gymnasium_accepts_it():
-    env = gym.make("ServoHydraulic-v0", **SMALL)
-    check_env(env.unwrapped, skip_render_check=True)
-    again = gym.make(env.spec)
-    np.testing.assert_array_equal(again.reset(seed=5)[0], env.reset(seed=5)[0])
-    state = pickle.loads(pickle.dumps(env.unwrapped.get_state()))
-    one = env.step([0.1])[0]
-    env.unwrapped.set_state(state)
-    np.testing.assert_array_equal(env.step([0.1])[0], one)
-
-
 @pytest.mark.parametrize(
     ("law", "message"),
     [
@@ -178,21 +163,3 @@ def test_a_rig_outside_the_law_is_told_with_the_distance():
     assert [outside_law(LAW, task) for task in tasks] == [""] * 40
     strong = task_config(plant={"supply": {"pressure": 350e5}}, control_period=0.02)
     assert outside_law(LAW, strong) == "supply 350 bar (70 to 250), period 20 ms (1 to 10)"
-
-
-def test_an_axis_of_a_law_with_one_rig_ends_by_the_steps_of_this_rig():
-    """One with 2000 steps of 1 ms, and one with 250 of 8 ms; the default task has 400."""
-    for first, steps in ((300, 2000), (303, 250)):
-        law = {"split": "test", "count": 1, "first": first}
-        env = ServoHydraulicVectorEnv(1, rig="drawn", law=law, autoreset_mode="Disabled", info=False)
-        env.reset(seed=0, options={"reference": "point_to_point"})
-        ended = [env.step([[0.0]])[3][0] for _ in range(steps)]
-        assert (env.rigs[0].steps, np.flatnonzero(ended).tolist()) == (steps, [steps - 1])
-
-
-def test_drawn_rigs_keep_the_steps_of_the_pressure_readings_with_which_the_policies_learned():
-    usual = TaskConfig().sensors
-    for task in rig_tasks(task_config(rig="drawn", law={"count": 3})):
-        for name in ("pressure_a", "pressure_b"):
-            own, sizes = getattr(task.sensors, name), task.plant.supply.pressure / 70e5
-            assert own.resolution == sizes * getattr(usual, name).resolution

@@ -67,23 +67,6 @@ def test_a_steady_force_is_a_share_of_what_the_supply_gives_against_it():
     assert 0.4 < (base > 0).mean() < 0.6
 
 
-def test_forces_may_act_in_a_share_of_the_episodes():
-    """An episode with forces is that of a task in which they always act; one without is that of a task without."""
-    forces = {"kind": "mixed", "steady_share": (0.1, 0.3), "force_share": (0.1, 0.2), "start_range": (0.05, 0.1)}
-    some, every, never = (begun(disturbance=change)[0] for change in ({**forces, "share": 0.3}, forces, {}))
-    disturbed = some.axes.column("force_kind") > 0.0
-    assert abs(disturbed.mean() - 0.3) < 4.0 * np.sqrt(0.3 * 0.7 / COUNT)
-    for _ in range(60):
-        for envs in (some, every, never):
-            envs.step(ZERO)
-    for name in ("force_base", "force_amplitude", "position"):
-        found, with_forces, without = (envs.axes.column(name) for envs in (some, every, never))
-        np.testing.assert_array_equal(found, np.where(disturbed, with_forces, without))
-        assert (with_forces != without).all()
-    held = [some.axes.external_force(axis) for axis in np.flatnonzero(~disturbed)]
-    np.testing.assert_array_equal(held, never.axes.parameters(0).load.external_force)
-
-
 def test_the_reward_may_leave_out_the_bias_and_weigh_families():
     factors = {"step": 5.0, "sine": 0.5}
     plain, _ = begun()

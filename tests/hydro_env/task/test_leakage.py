@@ -28,13 +28,6 @@ def test_leaks_are_log_uniform_within_healthy_and_faulty_range():
     assert stats.kstest(flow[~healthy], stats.loguniform(0.1, 4.0).cdf).pvalue > 1e-3
 
 
-def test_where_a_leak_begins_says_nothing_about_where_it_ends():
-    envs = ServoHydraulicVectorEnv(COUNT, leakage={"schedule": "growth", "healthy_share": 0.0})
-    envs.reset(seed=0)
-    start, target = (np.log(envs.axes.column(name)) for name in ("leak_start_flow", "leak_target_flow"))
-    assert stats.pearsonr(start, target).pvalue > 1e-3
-
-
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.6, 1.0])
 def test_share_of_healthy_seals(share):
     info = leaks(healthy_share=share)
@@ -124,19 +117,3 @@ def test_the_leak_is_no_part_of_the_observation():
         observation, _ = late.reset(seed=9)
         rows.append([observation] + [late.step(np.full(1, 0.1))[0] for _ in range(50)])
     np.testing.assert_array_equal(rows[0], rows[1])
-
-
-def test_mixed_schedules_are_constant_onset_and_growth_alike():
-    envs = ServoHydraulicVectorEnv(600, leakage={"schedule": "mixed", "healthy_share": 0.0, "start_range": (0.5, 0.5)})
-    envs.reset(seed=4)
-    kinds, counts = np.unique(envs.axes.column("leak_schedule"), return_counts=True)
-    np.testing.assert_array_equal(kinds, [0.0, 1.0, 2.0])
-    assert counts.min() > 200 - 4 * np.sqrt(600 * 2 / 9)
-    kind, target = envs.axes.column("leak_schedule").copy(), envs.axes.column("leak_target_flow").copy()
-    np.testing.assert_array_equal(envs.axes.column("leak_flow")[kind == 0], target[kind == 0])
-    assert (envs.axes.column("leak_flow")[kind > 0] <= 0.03).all()
-    for _ in range(300):  # three quarters of the episode
-        envs.step(np.zeros((600, 1), np.float32))
-    flow = envs.axes.column("leak_flow")
-    np.testing.assert_array_equal(flow[kind < 2], target[kind < 2])
-    assert (flow[kind == 2] < target[kind == 2]).all()

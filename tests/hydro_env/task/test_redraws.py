@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv
+from hydro_env import ServoHydraulicVectorEnv
 from hydro_env.plant.kernel import MOST_STEPS_PER_PERIOD, STEPS
 from hydro_env.task.kernel import MOST_DRAWS
 
@@ -39,19 +39,6 @@ def test_no_reset_is_refused_where_a_draw_can_be_held(what):
     assert redraws.max() < MOST_DRAWS - 1
     if options:
         assert redraws.max() > 0  # the case is hard indeed
-
-
-def test_a_redrawn_axis_is_the_same_alone_and_among_others():
-    options = {"leakage_flow_lpm": 20.0}
-    envs = ServoHydraulicVectorEnv(60)
-    rows, _ = envs.reset(seed=0, options=options)
-    redrawn = np.flatnonzero(envs.axes.column("redraws"))
-    assert len(redrawn) > 3
-    for axis in redrawn[:4].tolist():
-        env = ServoHydraulicEnv()
-        np.testing.assert_array_equal(env.reset(seed=axis, options=options)[0], rows[axis])
-        assert env.axes.column("redraws")[0] == envs.axes.column("redraws")[axis]
-        assert env.parameters == envs.axes.parameters(axis)
 
 
 def test_what_decides_nothing_is_not_drawn_again():

@@ -121,20 +121,6 @@ def test_what_the_user_set_stays(small):
     assert task_config(None, rig=small, plant={"load": {"mass": 33.0}}).plant.load.mass == 33.0
 
 
-def test_a_rig_brings_its_own_ranges(small):
-    with small.open("a") as file:
-        file.write("randomisation:\n  load.mass: {uniform: [19.0, 24.0]}\n  load.external_force: {uniform: [0, 50]}\n")
-    assert PlantParameters.from_yaml(small).load.mass == 20.0
-    config = task_config(rig=small)
-    values = drawn(config)
-    assert 19.0 <= values["load.mass"].min() < values["load.mass"].max() <= 24.0
-    assert values["load.external_force"].max() > 40.0
-    assert config.randomisation["supply.pressure"] == TaskConfig().randomisation["supply.pressure"]
-    # The task's own range comes before the rig's.
-    task = {"randomisation": {**TaskConfig().model_dump()["randomisation"], "load.mass": {"factor": [1.0, 1.0]}}}
-    assert (drawn(task_config(task, rig=small))["load.mass"] == 20.0).all()
-
-
 def test_a_task_names_its_rig(small, tmp_path):
     task = tmp_path / "tasks" / "mine.yaml"
     task.parent.mkdir()

@@ -50,18 +50,6 @@ def test_noise_is_normal_and_bias_uniform_as_configured(name):
     np.testing.assert_allclose(of_channel(axes, "bias", name), error[name], rtol=1e-6, atol=1e-12)
 
 
-def test_bias_stays_for_the_episode_and_is_drawn_anew_for_the_next():
-    envs = ServoHydraulicVectorEnv(20, sensors=sensors(position={"bias": 1e-3}))
-    biases = []
-    for seed in (0, None):
-        envs.reset(seed=seed)
-        for _ in range(5):
-            envs.step(np.ones((20, 1)))
-            biases.append(of_channel(envs.axes, "measured", "position") - envs.axes.column("position"))
-    np.testing.assert_allclose(np.ptp(np.array(biases).reshape(2, 5, 20), axis=1), 0.0, atol=1e-12)
-    assert (np.abs(biases[-1] - biases[0]) > 1e-7).all()
-
-
 @pytest.mark.parametrize("name", SENSORS)
 def test_readings_lie_on_the_steps_of_the_acquisition(name):
     sensor = getattr(Sensors(), name)
@@ -178,14 +166,3 @@ def test_switched_off_sensors_tell_the_exact_truth():
         action = rng.uniform(-1, 1, 1)
         command = action[0]
         observation, _, _, _, info = env.step(action)
-
-
-def test_a_sensor_that_is_not_fitted_leaves_the_observation():
-    whole = ServoHydraulicVectorEnv(3)
-    first, _ = whole.reset(seed=4)
-    without = ServoHydraulicVectorEnv(3, sensors={"spool_position": {"fitted": False}, "pressure_b": {"fitted": False}})
-    second, _ = without.reset(seed=4)
-    names = [name for name in whole.axes.observation_names if name not in ("spool_position", "pressure_b")]
-    assert list(without.axes.observation_names) == names
-    kept = [whole.axes.observation_names.index(name) for name in names]
-    np.testing.assert_array_equal(first[:, kept], second)

@@ -10,7 +10,6 @@ from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.task.configuration import task_config
-from hydro_env.task.randomisation import Distribution
 from hydro_env.units import Number
 
 CHANGES = {
@@ -61,27 +60,6 @@ def test_keywords_lay_themselves_over_a_file(tmp_path):
     assert config.references == TaskConfig().references
 
 
-def test_one_distribution_leaves_the_others_whether_it_stands_in_a_file_or_is_a_keyword(tmp_path):
-    mass, file = {"load.mass": {"log_uniform": [50.0, 60.0]}}, tmp_path / "task.yaml"
-    file.write_text("randomisation:\n  load.mass: {log_uniform: [50.0, 60.0]}\n")
-    expected = {**TaskConfig().randomisation, "load.mass": Distribution(log_uniform=(50.0, 60.0))}
-    tasks = [task_config(base, randomisation=mass) for base in (None, {}, TaskConfig(), TaskConfig().model_dump())]
-    for task in (*tasks, task_config(file), task_config({"randomisation": mass}), TaskConfig.from_yaml(file)):
-        assert list(task.randomisation.items()) == list(expected.items())
-    assert list(task_config("as_given", randomisation=mass).randomisation) == ["load.mass"]  # it draws nothing else
-
-
-def test_what_is_not_drawn_stays_so_in_every_copy_of_a_task(tmp_path):
-    task = task_config(None, randomisation={"supply.pressure": None})
-    assert TaskConfig().randomisation.keys() - task.randomisation.keys() == {"supply.pressure"}
-    few = task_config("as_given", randomisation={"load.mass": {"factor": [0.9, 1.1]}})
-    for config in (task, few):
-        config.to_yaml(tmp_path / "task.yaml")
-        assert task_config(tmp_path / "task.yaml") == task_config(config.model_dump(mode="json")) == config
-    with refused("supply.presure.* is not a number of the plant; did you mean supply.pressure"):
-        task_config(None, randomisation={"supply.presure": None})
-
-
 def test_a_leak_of_the_plant_is_refused_because_each_episode_draws_it(tmp_path):
     (tmp_path / "task.yaml").write_text("plant:\n  leakage: {orifice_gain: 1.0e-8}\n")
     with refused("plant.leakage.internal_resistance: .*leakage_flow_lpm"):
@@ -91,13 +69,6 @@ def test_a_leak_of_the_plant_is_refused_because_each_episode_draws_it(tmp_path):
     config = task_config(None, plant={"leakage": {"external_resistance": 1e12}})
     assert config.plant.leakage.external_resistance == 1e12
     assert task_config(config.model_dump()) == config  # a whole rig states its own leak
-
-
-def test_steps_and_preview_count_control_periods():
-    assert (TaskConfig().steps, TaskConfig().preview_samples) == (400, (1, 2, 4, 8))
-    config = task_config(None, control_period=0.01, episode_duration=0.3)
-    assert (config.steps, config.preview_samples) == (30, (1, 1, 2, 4))
-    assert task_config(None, control_period=0.001, episode_duration=1e-2, command_latency=0.0).steps == 10
 
 
 def drawn(randomisation, count=2000, **config):
