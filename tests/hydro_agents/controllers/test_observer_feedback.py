@@ -5,13 +5,12 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from hydro_agents.controllers.adrc import ADRC, ADRCGains
-from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
 from hydro_agents.controllers.observer_feedback import SampledModel
 from hydro_agents.controllers.preview import braked
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import PlantParameters, TaskConfig
 
 TASK = TaskConfig()
 RIGS = ("kovari_2015", "symmetric_eha", "aalborg_svsdp_2017")
@@ -159,19 +158,3 @@ def test_a_long_saturated_move_ends_without_overshoot(kind, previews):
 
 
 # What every controller with an observer does -------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", RIGS)
-def test_the_start_is_bumpless(kind, name):
-    """At rest on the reference, the first commands are those that hold the axis."""
-    config = task_of_rig(name, sensors={"enabled": False}, references={"weights": {"step": 1.0}})
-    env = ServoHydraulicVectorEnv(3, config, autoreset_mode="NextStep")
-    observation, _ = env.reset(seed=[5, 6, 7])
-    controller, state = make_controller(kind, config), None
-    held = ObservationLayout.of(config).si(observation, "previous_command")
-    for _ in range(2):  # the first step comes after 50 ms at the earliest
-        action, state = controller.predict(observation, state)
-        np.testing.assert_allclose(action[:, 0], held, atol=2e-3)
-        observation, *_ = env.step(action)
-    env.close()

@@ -5,10 +5,8 @@ import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.running.folders import config_folder
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
-from hydro_env.files import read_yaml
 from hydro_env.task.configuration import task_config
 
 CONFIG = TaskConfig()
@@ -82,21 +80,6 @@ def test_anti_windup_lets_the_integral_recover():
 
 def overlapped(share):
     return task_config(None, plant={"valve": {"overlap": share, "underlap": 0.002}, "friction": {"model": "none"}})
-
-
-def test_without_overlap_or_compensation_the_commands_are_the_same_bit_for_bit():
-    gains = PIDGains(**read_yaml(config_folder() / "agents" / "pid_mended.yaml"))
-    compensating = gains.model_copy(update={"overlap_compensation": 1.0})
-    four = [PID(one, task) for one in (gains, compensating) for task in (CONFIG, overlapped(0.03))]
-    rows = (0.1 * np.random.default_rng(1).standard_normal((40, 3, len(LAYOUT.names)))).astype(np.float32)
-    memories, commands = [None] * 4, np.empty((4, 40, 3, 1), np.float32)
-    for period, row in enumerate(rows):
-        for number, pid in enumerate(four):
-            commands[number, period], memories[number] = pid.predict(row, memories[number])
-    plain, _, no_overlap, both = commands
-    np.testing.assert_array_equal(commands[1], plain)
-    np.testing.assert_array_equal(no_overlap, plain)
-    assert not np.array_equal(both, plain)
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0])

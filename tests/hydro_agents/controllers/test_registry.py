@@ -89,23 +89,6 @@ def test_the_file_tells_each_gain_in_the_units_of_a_plc_and_reads_back_unchanged
     assert controller_from_gains(file, TaskConfig()).gains == gains
 
 
-NONE = r"must hold the gains of one controller \(pid, "
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("proportional: 12.0\nspeed: 1.0\n", NONE),
-        ("proportional: -1.0\n", r"pid: proportional = -1\.0"),
-    ],
-)
-def test_wrong_gains_are_refused_with_their_file(tmp_path: Path, text: str, message: str) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_text(text, encoding="utf-8")
-    with refused(rf"mine\.yaml: {message}"):
-        controller_from_gains(file, CONFIG)
-
-
 def test_the_folder_of_a_controller_stands_for_its_weights_or_gains(tmp_path: Path) -> None:
     assert found_in(tmp_path) == str(tmp_path)
     (tmp_path / "gains.yaml").write_text("proportional: 12.0\n", encoding="utf-8")

@@ -5,7 +5,6 @@ import pytest
 
 from hydro_agents.controllers.sampled_loop import sampled_loop
 from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
-from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.states import STATE_NAMES
 from paper.loop import final_value, response
 
@@ -40,24 +39,6 @@ def test_below_the_largest_gain_the_plant_settles_and_above_it_swings_up(leak):
         errors = closed_loop_errors(parameters, share * largest, 200)
         early, late = errors[40:80].max(), errors[-40:].max()
         assert (late < 0.5 * early) if share < 1.0 else (late > 2.0 * early)
-
-
-def test_a_fast_loop_follows_the_rule_of_thumb():
-    """Ideal valve, no sampling, a symmetric cylinder with a mass: the velocity gain may reach 2 ζ ω (Merritt 1967)."""
-    parameters = leaking(
-        1.0,
-        valve={"natural_frequency": 1e4, "coil_inductance": 1e-5, "slew_limit": 1e5, "amplifier_gain": 0.625},
-        cylinder={"rod_diameter_a": 0.028},
-        load={"spring_stiffness": 0.0},
-        supply={"model": "constant"},
-    )
-    plant = linearise(parameters)
-    mode = plant.hydraulic_mode
-    spool, pressures = STATE_NAMES.index("spool_position"), [2, 3]
-    states = [STATE_NAMES.index("velocity"), *pressures]
-    speed = np.linalg.solve(plant.a[np.ix_(states, states)], -plant.a[states, spool])[0]  # m/s of full stroke
-    largest = sampled_loop(parameters, control_period=20e-6, latency=0.0).largest_stable_gain()
-    assert largest * speed == pytest.approx(2.0 * mode.damping_ratio * mode.natural_frequency, rel=0.05)
 
 
 def test_sampling_is_exact():

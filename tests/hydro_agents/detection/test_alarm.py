@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from refusal import refused
 
 from hydro_agents.detection.activity import Activity
 from hydro_agents.detection.alarm import Alarm, AlarmSettings, LeakAlarm
@@ -91,16 +90,6 @@ def test_slow_drift_is_not_learnt_away():
     assert not result.alarm[1].any(), "a drift of less than half a design leak"
 
 
-def test_activities_have_baselines_of_their_own():
-    watch = alarm(learning=3)
-    activity = np.tile([Activity.STANDING, Activity.MOVING], 20)
-    score = np.where(activity == Activity.MOVING, -6.0, -1.0)
-    result, state = follow(watch, score, activity=activity[None])
-    np.testing.assert_array_equal(state.mean[0], [-1.0, 0.0, -6.0])
-    assert not result.alarm.any()
-    assert result.learnt[0].tolist() == [False] * 4 + [True] * 36
-
-
 def test_alarm_latches_until_reset():
     watch = alarm()
     score = np.concatenate([np.full(10, -1.0), np.full(10, 3.0), np.full(30, -9.0)])
@@ -122,11 +111,3 @@ def test_what_the_detector_cannot_explain_raises_no_alarm_and_a_named_fault_clea
         causes = np.append(np.zeros(20), np.full(80, cause))
         result, _ = follow(alarm(interval=1.0), score, cause=causes[None])
         assert result.alarm.any() == raised
-
-
-def test_settings_round_trip_and_bad_ones_are_refused(tmp_path):
-    settings = alarm().settings
-    settings.save(tmp_path / "alarm.yaml")
-    assert AlarmSettings.load(tmp_path / "alarm.yaml") == settings
-    with refused("moving"):
-        alarm(scales={"standing": SCALE, "slow": SCALE})

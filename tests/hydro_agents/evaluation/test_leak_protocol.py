@@ -9,10 +9,8 @@ from refusal import refused
 from small_leaks import SMALL, Spread, ran, small
 
 from hydro_agents.detection.detector import Cause
-from hydro_agents.detection.operations import ACTING
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY, LeakProtocol
 from hydro_agents.evaluation.leak_tables import judged
-from hydro_agents.running.cases import run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER
 from hydro_agents.running.seeds import LEAKAGE, TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import ConfigurationError
@@ -144,12 +142,3 @@ def test_the_shipped_protocols_are_valid(name):
     protocol = LeakProtocol.from_yaml(ROOT / "configs" / "protocols" / f"{name}.yaml")
     assert protocol.measured[0] == "windows"
     assert len(protocol.sha256) == 64
-
-
-@pytest.mark.parametrize("name", [name for name, acting in ACTING.items() if not acting.trained])
-def test_operations_that_no_training_holds_move_the_axes_and_keep_their_memory(name):
-    protocol = small()
-    config, cases = protocol.task_in("plain"), protocol.cases_in("plain", HEALTHY, 4)
-    runs = [run_cases(config, ACTING[name].make(config, 4, 3), cases, [0]) for _ in range(2)]
-    assert np.ptp(runs[0].position, axis=1).max() > 1e-3
-    np.testing.assert_array_equal(runs[0].signals, runs[1].signals)

@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import brentq
 
 from hydro_agents.evaluation.metrics import (
-    METRICS,
     SETTLING_BAND,
     Trace,
     case_metrics,
@@ -123,18 +122,6 @@ def test_itae():
     time = PERIOD * np.arange(1, 20_001)
     for error, expected in ((np.full(20_000, 0.001), 2.0), (-0.001 * np.exp(-time / 0.1), 0.1**2)):
         assert metrics_of(error, np.zeros(20_000))["itae_mm_s2"] == pytest.approx(expected, rel=1e-3)  # ∫ t |e| dt
-
-
-def test_command_spool_and_failure():
-    time = 0.001 * np.arange(1, 2001)
-    triangle = 1.0 - np.abs(1.0 - time)  # out and back in 2 s: one stroke per second
-    zeros = np.zeros(2000)
-    command = 0.4 * np.sin(2.0 * math.pi * time)
-    found = metrics_of(zeros, zeros, 0.001, command=command, spool=triangle, failed=True)
-    assert found["control_effort"] == pytest.approx(0.4 / math.sqrt(2.0), rel=1e-6)
-    assert found["valve_travel_per_s"] == pytest.approx(1.0, rel=2e-3)
-    assert found["failed"] == 1.0
-    assert set(found) == set(METRICS)
 
 
 def test_every_case_of_a_rollout():

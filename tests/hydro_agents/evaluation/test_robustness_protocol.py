@@ -12,7 +12,6 @@ from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.report.controllers_page import GROUPS
 from hydro_agents.running.seeds import ROBUSTNESS
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv
-from hydro_env.task.configuration import task_config
 
 
 def plants_of(protocol, name):
@@ -143,14 +142,3 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path, changes, message):
     path.write_text(yaml.safe_dump({**SMALL, **changes}))
     with refused(f"own.yaml.*{message}"):
         RobustnessProtocol.from_yaml(path)
-
-
-def test_a_protocol_moves_to_another_task_and_rig():
-    protocol = small(conditions={"plain": {}, "heavy": {"factors": {"load.mass": 2.0}}})
-    moved = protocol.moved(task_config(protocol.task, rig="symmetric_eha"))
-    assert moved.task.plant.load.mass == 20.0
-    assert moved.parameters_in("heavy") == {"load": {"mass": 40.0}}
-    assert moved.task.references.step_range != protocol.task.references.step_range
-    assert moved.task.episode_duration == protocol.task.episode_duration
-    assert moved.sha256 != protocol.sha256
-    assert protocol.moved(task_config("no_preview")).task_in("heavy").references.preview_times == ()

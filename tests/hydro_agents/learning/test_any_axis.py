@@ -249,18 +249,6 @@ def test_each_rig_has_its_axes_rewards_and_discount():
     env.close()
 
 
-def test_a_recurrent_policy_sees_one_sample_of_history_on_every_rig(tmp_path):
-    settings = SETTINGS.model_copy(update={"lstm_cells": 4})
-    trained = train_policy(TASK, settings, untuned(TASK), seed=1)
-    again = PolicyController.load(trained.save(tmp_path / "policy"))
-    np.testing.assert_array_equal(commands(again, TASK), commands(trained, TASK))
-    long = task_config(RIGS[0], episode_duration=4.0)
-    moved, alike = (again.moved_to(task, lambda kind, task: FlowLinearisingGains()) for task in (RIGS[0], long))
-    assert (alike.features.config, alike.features.error) == (long, moved.features.error)
-    assert len(moved.features.lags) == 1
-    assert moved.features.size == trained.features.size
-
-
 def test_what_cannot_be_is_refused(policy):
     with refused("axes = 13: must be a multiple of law.count = 3"):
         validate(PPOSettings, SETTINGS.model_dump() | {"axes": 13, "minibatches": 1}, "test")

@@ -1,30 +1,16 @@
 """Inputs in units of their own size, what the corrected controller estimates, and both in stored weights."""
 
-import itertools
-
 import numpy as np
 import pytest
 import yaml
-from driven import commands
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.features import Normalisation, PolicyFeatures
-from hydro_agents.learning.policy import PolicyController
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.folders import config_folder
 
 CONFIG = TaskConfig(episode_duration=0.6)
 BASE = FlowLinearising(FlowLinearisingGains(), CONFIG)
-
-
-def policy(features):
-    rng = np.random.default_rng(1)
-    sizes = [features.size, 8, 1]
-    layers = [
-        (rng.normal(0, 0.3, (out, inputs)).astype(np.float32), rng.normal(0, 0.1, out).astype(np.float32))
-        for inputs, out in itertools.pairwise(sizes)
-    ]
-    return PolicyController(features, layers, activation="relu")
 
 
 def test_a_normalisation_is_linear_near_its_centre_and_logarithmic_far_away():
@@ -83,13 +69,3 @@ def test_estimates_tell_position_leak_and_speed():
     assert 1.5 < np.median(estimates[:, 2]) < 6.0  # l/min; it learns slowly
     speed = estimates[:, 4] * base._full_speed
     assert np.corrcoef(speed, env.axes.column("velocity"))[0, 1] > 0.95
-
-
-def test_stored_weights_keep_normalisation_and_estimates(tmp_path):
-    features = PolicyFeatures(CONFIG, BASE, 0.2, see_estimates=True).normalised()
-    before = policy(features)
-    before.save(tmp_path / "policy")
-    after = PolicyController.load(tmp_path / "policy")
-    np.testing.assert_array_equal(commands(before, CONFIG), commands(after, CONFIG))
-    plain = policy(PolicyFeatures(CONFIG, BASE, 0.2, see_estimates=True))
-    assert (commands(plain, CONFIG) != commands(after, CONFIG)).any()

@@ -6,7 +6,7 @@ from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.checkpoint import CHECKPOINT_FILE
-from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
+from hydro_agents.learning.progress import PROGRESS_FILE, read_progress
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_policy
 from hydro_agents.running.weights import load_checkpoint
@@ -67,20 +67,6 @@ def test_interrupted_training_ends_as_an_uninterrupted_one(tmp_path, changes):
     assert [progress.steps for progress in seen] == [1024, 1280]
     assert policy.training["steps"] == 1280
     np.testing.assert_equal(result(policy, folder / PROGRESS_FILE), expected)
-
-
-def test_a_finished_training_resumes_to_the_same_policy_and_may_be_made_longer(tmp_path, whole):
-    with pytest.raises(KeyboardInterrupt):
-        train(tmp_path, progress=interrupt_at(768))
-    curve = tmp_path / PROGRESS_FILE
-    with curve.open("a") as file:  # as a killed training leaves it: a row after the checkpoint
-        file.write(curve.read_text().splitlines()[-1].replace("512", "768", 1) + "\n")
-    np.testing.assert_equal(result(train(tmp_path, resume=True), curve), whole)
-    assert load_checkpoint(tmp_path / CHECKPOINT_FILE, KIND)[1]["steps"] == 1280
-    np.testing.assert_array_equal(result(train(tmp_path, resume=True), curve)[0], whole[0])
-    longer = train(tmp_path, settings=SETTINGS.model_copy(update={"total_steps": 1536}), resume=True)
-    assert longer.training["steps"] == 1536
-    assert [row[STEPS] for row in read_progress(curve)] == list(range(256, 1537, 256))
 
 
 def test_resume_needs_a_checkpoint_of_the_same_settings(tmp_path):

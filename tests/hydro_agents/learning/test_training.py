@@ -1,15 +1,13 @@
 """Training is reproducible, survives interruption, and its weights carry everything that inference needs."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
+from hydro_agents.learning.progress import PROGRESS_FILE, read_progress
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import discount, make_env, make_features, train_policy
-from hydro_agents.running.cases import validation_errors
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.paces import pace
@@ -31,36 +29,6 @@ def test_same_seed_gives_the_same_weights_whatever_is_logged_and_another_does_no
     np.testing.assert_array_equal(weights_of(first), weights_of(second))
     assert not np.array_equal(weights_of(first), weights_of(other))
     assert first.training["steps"] == 1024
-
-
-def test_log_of_a_training(tmp_path):
-    """Schedules are followed, rows come once per update, and stable-baselines3's figures are in them."""
-    settings = SETTINGS.model_copy(update={"validation_every": 600, "learning_rate": 0.01})
-    policy = train_policy(CONFIG, settings, BASE, seed=1, folder=tmp_path)
-    rows = read_progress(tmp_path / PROGRESS_FILE)
-    share = np.array([0.25, 0.5, 0.75, 1.0])
-    assert [row[STEPS] for row in rows] == [256.0, 512.0, 768.0, 1024.0]
-    assert list(pd.read_csv(tmp_path / PROGRESS_FILE)[STEPS]) == [256, 512, 768, 1024]
-    rate = [row["train/learning_rate"] for row in rows]
-    np.testing.assert_allclose(rate, 0.001 + 0.009 * 0.5 * (1 + np.cos(np.pi * share)))  # a cosine to a tenth
-    assert settings.learning_rate_at(1.0) == 0.01
-    assert settings.learning_rate_at(0.0) == settings.learning_rate_at(-0.1) == pytest.approx(0.001)
-    np.testing.assert_allclose([row["train/std"] for row in rows], np.exp(-1.5 - 1.5 * (share - 0.25)), rtol=1e-6)
-    for name in ("approx_kl", "clip_fraction", "explained_variance", "entropy_loss", "value_loss", "loss"):
-        assert np.isfinite([row[f"train/{name}"] for row in rows]).all()
-    assert rows[-1]["train/approx_kl"] > 0.0
-    assert all(-5.0 < row["rollout/mean_reward"] < 0.0 for row in rows[1:])
-    assert rows[-1]["rollout/ep_len_mean"] <= CONFIG.steps
-    assert np.all(np.diff([row["time/time_elapsed"] for row in rows]) > 0.0)
-    # On validation plants: when 600 steps are passed, and at the end.
-    assert [bool(np.isfinite(row["validation/mean_error_mm"])) for row in rows] == [False, False, True, True]
-    mean, worst, failures = validation_errors(CONFIG, policy)
-    last = {name: rows[-1][f"validation/{name}"] for name in ("mean_error_mm", "worst_error_mm", "failures")}
-    assert last == {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures}
-    assert worst > mean > 0.0
-    base = validation_errors(CONFIG, BASE)
-    assert rows[-1]["validation/base_mean_error_mm"] == base[0] != mean
-    assert rows[-1]["validation/error_to_corrected"] == mean / base[0]
 
 
 def test_an_update_begins_with_the_policy_of_its_rollout(tmp_path):

@@ -8,27 +8,23 @@ from refusal import refused
 
 from hydro_agents.commands.study import train
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.controllers.base import search_space
-from hydro_agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning import tuning
 from hydro_agents.learning.trials import (
     JUDGED,
-    LEAK_LEVELS,
     REFUSED,
     costs_of,
     resting_cases,
     summed_up,
     tuning_cases,
 )
-from hydro_agents.learning.tuning import Search, Space, tune
+from hydro_agents.learning.tuning import Search, tune
 from hydro_agents.running.cases import run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER
-from hydro_agents.running.seeds import TRAINING_SEEDS
-from hydro_env import PlantParameters, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
-from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 SHORT = TaskConfig(episode_duration=0.3)
 SMALL = Search(evaluations=6, cases=7, population=6)
@@ -66,17 +62,6 @@ def test_of_several_tasks_the_geometric_mean_counts():
     assert best.cost == pytest.approx(np.sqrt(found[0] * found[1]))
 
 
-def test_cases_are_training_cases_with_all_leaks_and_families():
-    for count in (6, 14, 21, 42):
-        cases = tuning_cases(TaskConfig(), count, seed=3)
-        assert cases.seeds.tolist() == list(range(3 * count, 4 * count))
-        assert set(cases.seeds) <= set(TRAINING_SEEDS)
-        numbers = [list(cases.families).count(family) for family in MOVING_FAMILIES]
-        assert max(numbers) - min(numbers) <= (0 if count % 6 == 0 else 1)
-        assert len(set(zip(cases.families, cases.leakage_flow_lpm, strict=True))) == count
-    assert set(cases.leakage_flow_lpm) == set(LEAK_LEVELS)  # 42: each with each
-
-
 def test_a_stopped_search_goes_on_bit_equal_and_another_one_begins_anew(tmp_path):
     search = SMALL._replace(evaluations=18)
     whole = tune("pid", SHORT, search, tmp_path / "whole")
@@ -94,19 +79,6 @@ def test_a_stopped_search_goes_on_bit_equal_and_another_one_begins_anew(tmp_path
         before = len(kept(tmp_path / "whole"))
         tune("pid", task, other, tmp_path / "whole")
         assert len(kept(tmp_path / "whole")) == before + 1
-
-
-def test_a_given_start_is_where_the_search_begins_and_keeps_what_is_not_searched():
-    start = PIDGains(proportional=300.0, lead_in_integral=False)
-    best = tune("pid", SHORT, SMALL._replace(start=start))
-    assert best.gains.lead_in_integral is False
-    space = Space(PIDGains, SHORT.plant)
-    assert space.values(space.point(start))["proportional"] == pytest.approx(300.0)
-    outside = PIDGains(proportional=1.0, integral=0.0, derivative=7.0)
-    low, high = (space.values(np.full(len(space.names), end)) for end in (0.0, 1.0))
-    moved = space.values(space.point(outside))
-    ends = [low["proportional"], low["integral"], high["derivative"]]
-    assert [moved[name] for name in ("proportional", "integral", "derivative")] == pytest.approx(ends)
 
 
 def test_costs_are_error_and_price_of_the_same_cases_for_every_candidate():
@@ -141,22 +113,6 @@ def test_a_candidate_that_is_refused_or_fails_costs_much_and_disturbs_no_other()
     costs = costs_of(SHORT, cases, [None, Constant(None), Constant(np.nan), Constant()])
     assert (costs[:3] == REFUSED).all()
     np.testing.assert_array_equal(costs[3], costs_of(SHORT, cases, [Constant()] * 4)[3])
-
-
-OVERLAPPED = PlantParameters().replace(valve={"overlap": 0.03})
-
-
-@pytest.mark.parametrize("kind", CONTROLLERS)
-def test_the_search_space_holds_the_defaults_and_only_valid_gains(kind):
-    _, group = CONTROLLERS[kind]
-    for name, (low, high, logarithmic) in search_space(group, OVERLAPPED).items():
-        assert low <= getattr(group(), name) <= high
-        assert not logarithmic or low > 0.0
-        for bound in (low, high):
-            group(**{name: bound})
-    # A gain without effect on a rig is not searched.
-    plain, overlapped = (Space(PIDGains, plant).names for plant in (PlantParameters(), OVERLAPPED))
-    assert set(overlapped) - set(plain) == {"overlap_compensation"}
 
 
 def test_an_axis_that_fails_pays_the_stroke_until_the_end():

@@ -8,11 +8,8 @@ from refusal import refused
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PolicyFeatures
-from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.vec_env import AxisVecEnv
-from hydro_env import ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.task.configuration import task_config
-from hydro_env.task.paces import pace
+from hydro_env import TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.1)
 LAYOUT = ObservationLayout.of(CONFIG)
@@ -59,46 +56,6 @@ def test_history_holds_differences_at_the_lags_and_restarts_with_the_episode():
         differences = rows[-1][:, columns] - rows[-1 - lag][:, columns]
         np.testing.assert_allclose(past[[0, 2], number], differences[[0, 2]], rtol=1e-6)
     assert (past[1] == 0.0).all()
-
-
-def test_history_reaches_back_as_far_relative_to_any_rig(tmp_path):
-    assert PolicyFeatures(TaskConfig(), None).lags == HISTORY_LAGS
-    for task in (task_config(rig="aalborg_svsdp_2017"), task_config("period_2ms"), task_config("period_10ms")):
-        features = PolicyFeatures(task, None)
-        assert max(features.lags) * task.control_period == pytest.approx(
-            36 / 1.54 * pace(task), abs=task.control_period
-        )
-        assert list(features.lags) == sorted(set(features.lags))
-        observation = np.zeros((2, len(ObservationLayout.of(task).names)), dtype=np.float32)
-        assert features(observation, None, None)[0].shape == (2, features.size)
-    stored = PolicyFeatures(task, None, lags=(1, 4))  # weights keep the history of their training
-    layers = [(np.ones((1, stored.size), dtype=np.float32), np.zeros(1, dtype=np.float32))]
-    PolicyController(stored, layers).save(tmp_path / "policy")
-    assert PolicyController.load(tmp_path / "policy").features.lags == (1, 4)
-
-
-def test_the_full_preview_holds_every_sample():
-    """A sine's own samples ahead, once the memory is filled; at a start in between, straight lines."""
-    config = TaskConfig(episode_duration=0.3, references={"weights": {"sine": 1.0}}, sensors={"enabled": False})
-    features = PolicyFeatures(config, None, full_preview=True)
-    env = ServoHydraulicVectorEnv(3, config)
-    observation, _ = env.reset(seed=1)
-    memory = None
-    horizon = max(config.preview_samples)
-    hidden = [0, *(1 + ahead for ahead in range(1, horizon + 1) if ahead not in config.preview_samples)]
-    for step in range(20):
-        inputs, memory = features(observation, memory, None)
-        rebuilt = 0.01 * inputs[:, len(LAYOUT.names) : len(LAYOUT.names) + len(hidden)]
-        reference = env.axes.reference
-        for column, place in enumerate(hidden):
-            if step >= horizon:
-                expected = reference[:, step + place - 1] - reference[:, step]
-                np.testing.assert_allclose(rebuilt[:, column], expected, atol=1e-7)
-        observation, *_ = env.step(np.zeros((3, 1), dtype=np.float32))
-    assert np.ptp(rebuilt) > 1e-4
-    again, _ = features(observation, memory, np.array([True, False, False]))
-    np.testing.assert_allclose(again[0, len(LAYOUT.names)], 0.0)
-    assert again.shape[1] == features.size
 
 
 SHORT_STROKE = {
@@ -169,12 +126,3 @@ def test_state_goes_back_and_into_another_adaptor(kind):
             np.testing.assert_array_equal(reward, reward2)
             np.testing.assert_array_equal(done, done2)
             assert [info.get("episode") for info in infos] == [info.get("episode") for info in infos2]
-
-
-def test_a_drawn_rig_staggers_by_its_own_steps_and_its_late_state_can_be_set():
-    """It has 2000 steps; the default task has 400."""
-    law = {"split": "test", "count": 1, "first": 300}
-    env = AxisVecEnv(task_config(rig="drawn", law=law), 4, stagger=True)
-    env.reset()
-    assert env.env.axes.column("step").tolist() == [0.0, 500.0, 1000.0, 1500.0]
-    env.set_state(env.get_state())

@@ -4,13 +4,10 @@ import sys
 
 import numpy as np
 import pytest
-from refusal import refused
 
-from hydro_agents.controllers.registry import make_controller
 from hydro_agents.running.cases import Cases, ControllerError, run_cases
 from hydro_agents.running.tasks import own_reference
 from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.task.configuration import task_config
 
 CONFIG = TaskConfig(episode_duration=0.3)
 LONG = TaskConfig(
@@ -97,16 +94,6 @@ def test_chunks_do_not_change_results_and_without_states_only_signals_are_kept()
         assert getattr(signals, name).shape == (5, 0)
     np.testing.assert_array_equal(signals.signals, whole.signals)
     assert parts[0].signals is None
-
-
-def test_commands_beyond_one_are_recorded_as_they_acted():
-    limited = Proportional(1e4)
-    plain = limited.predict
-    limited.predict = lambda *arguments: (np.clip(plain(*arguments)[0], -1.0, 1.0), None)
-    far, near = (run_cases(CONFIG, each, CASES) for each in (Proportional(1e4), limited))
-    assert np.abs(far.command).max() == 1.0
-    for name in ("position", "command", "spool", "reward"):
-        np.testing.assert_array_equal(getattr(far, name), getattr(near, name))
 
 
 def test_the_controller_gets_its_memory_back_and_hears_where_episodes_begin():
@@ -198,9 +185,3 @@ def _now(env):
     axes = env.axes
     force = [axes.external_force(axis) for axis in range(3)]
     return axes.column("leak_flow").copy(), axes.column("fault").copy(), np.array(force)
-
-
-def test_a_run_is_on_one_rig():
-    drawn = task_config(rig="drawn", law={"count": 2})
-    with refused("law: a run is on one rig"):
-        run_cases(drawn, make_controller("pid", TaskConfig()), Cases(np.arange(2)))

@@ -82,15 +82,6 @@ def test_nothing_is_left_where_nothing_was_written_and_no_other_folder_is_reache
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"files": 3}'])
-def test_a_foreign_list_is_left_alone(tmp_path, content):
-    (tmp_path / MANIFEST_FILE).write_text(content)
-    with refused(MANIFEST_FILE):
-        write(tmp_path, "a.csv", overwrite=True)
-    assert (tmp_path / MANIFEST_FILE).read_text() == content
-    assert not (tmp_path / "a.csv").exists()
-
-
 KILLED = """
 import sys, os
 from pathlib import Path

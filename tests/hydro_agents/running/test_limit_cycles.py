@@ -55,18 +55,6 @@ def test_what_comes_to_rest_is_none(motion):
     assert not find_limit_cycle(motion, PERIOD, FLOOR).sustained
 
 
-def test_the_task_of_a_standstill_is_the_task_without_noise():
-    config = TaskConfig(disturbance={"kind": "step"}, leakage={"schedule": "growth"}, command_latency=0.004)
-    still = standstill_task(config)
-    assert still.sensors.position.noise == still.sensors.pressure_a.noise == 0.0
-    assert still.sensors.position.resolution == config.sensors.position.resolution
-    assert still.sensors.position.bias == config.sensors.position.bias
-    assert (still.disturbance.kind, still.leakage.schedule) == ("none", "constant")
-    assert (still.command_latency, still.randomisation) == (0.004, config.randomisation)
-    assert still.references.user[0] == still.references.user[-1] == 0.0
-    assert max(still.references.user) == config.references.step_range[0]
-
-
 def test_a_relay_on_the_plant_oscillates_and_a_weak_loop_does_not():
     config = TaskConfig()
     first = VALIDATION_SEEDS.start

@@ -1,14 +1,11 @@
 """Weights, checkpoints and logs that were damaged: one line or a working controller, never a traceback."""
 
-import warnings
-
 import numpy as np
 import pytest
 from refusal import refused
 
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.progress import STEPS, ProgressFile, read_progress
 from hydro_agents.running.weights import load_checkpoint, load_weights, save_checkpoint, save_weights
 from hydro_env import ConfigurationError
 
@@ -47,25 +44,6 @@ def test_a_checkpoint_holds_what_was_put_in_and_is_refused_with_any_byte_changed
             continue
         assert described["epoch"] == 3  # blanks of the header may change
         assert all(np.array_equal(tensors[name], array) for name, array in TENSORS.items())
-
-
-def test_logs_that_were_changed(tmp_path):
-    file = tmp_path / "progress.csv"
-    good = f"{STEPS},a,b\n" + "".join(f"{100 * n},{n}.5,\n" for n in range(1, 9))
-    file.write_text(good)
-    assert [row["a"] for row in read_progress(file, 300)] == [1.5, 2.5, 3.5]
-    content, generator = good.encode(), np.random.default_rng(4)
-    for _ in range(CASES):
-        damaged = bytearray(content)
-        damaged[generator.integers(len(content))] = generator.integers(256)
-        file.write_bytes(bytes(damaged))
-        with warnings.catch_warnings(record=True):
-            rows = read_progress(file)  # no result depends on the log: what is damaged is left out
-        assert all(isinstance(value, float) for row in rows for value in row.values())
-    file.write_bytes(b"\xff" * 9)
-    with pytest.warns(UserWarning, match="is no log of a training"):
-        assert not ProgressFile(file, 500)._rows
-    assert file.read_bytes() == b""  # the resumed training begins a new log
 
 
 @pytest.mark.parametrize("suffix", ["safetensors", "json"])

@@ -163,3 +163,13 @@ def test_a_rig_outside_the_law_is_told_with_the_distance():
     assert [outside_law(LAW, task) for task in tasks] == [""] * 40
     strong = task_config(plant={"supply": {"pressure": 350e5}}, control_period=0.02)
     assert outside_law(LAW, strong) == "supply 350 bar (70 to 250), period 20 ms (1 to 10)"
+
+
+def test_an_axis_of_a_law_with_one_rig_ends_by_the_steps_of_this_rig():
+    """One with 2000 steps of 1 ms, and one with 250 of 8 ms; the default task has 400."""
+    for first, steps in ((300, 2000), (303, 250)):
+        law = {"split": "test", "count": 1, "first": first}
+        env = ServoHydraulicVectorEnv(1, rig="drawn", law=law, autoreset_mode="Disabled", info=False)
+        env.reset(seed=0, options={"reference": "point_to_point"})
+        ended = [env.step([[0.0]])[3][0] for _ in range(steps)]
+        assert (env.rigs[0].steps, np.flatnonzero(ended).tolist()) == (steps, [steps - 1])

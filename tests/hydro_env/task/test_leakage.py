@@ -117,3 +117,10 @@ def test_the_leak_is_no_part_of_the_observation():
         observation, _ = late.reset(seed=9)
         rows.append([observation] + [late.step(np.full(1, 0.1))[0] for _ in range(50)])
     np.testing.assert_array_equal(rows[0], rows[1])
+
+
+def test_where_a_leak_begins_says_nothing_about_where_it_ends():
+    envs = ServoHydraulicVectorEnv(COUNT, leakage={"schedule": "growth", "healthy_share": 0.0})
+    envs.reset(seed=0)
+    start, target = (np.log(envs.axes.column(name)) for name in ("leak_start_flow", "leak_target_flow"))
+    assert stats.pearsonr(start, target).pvalue > 1e-3

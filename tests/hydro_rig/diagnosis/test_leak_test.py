@@ -11,11 +11,8 @@ from command_line import assert_one_clear_line, done, hydro
 
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import TaskConfig
-from hydro_env.task.randomisation import Distribution
 from hydro_rig.diagnosis.leak_test_plan import (
-    RAMP,
     Step,
-    commands_of,
     plan,
     priors_of_test,
     simulated,
@@ -38,29 +35,12 @@ STEPS = (
 """A test of 8 s on an axis with a spring."""
 
 
-def test_a_step_begins_with_a_ramp():
-    openings = commands_of((Step(0.5, 1.0, ""), Step(-0.1, 0.5, "")), 0.1)
-    rising = np.minimum(RAMP * 0.1 * np.arange(10), 0.5)
-    falling = np.maximum(0.5 - RAMP * 0.1 * np.arange(5), -0.1)
-    np.testing.assert_allclose(openings, [*rising, *falling], atol=1e-12)
-
-
 def test_the_plan_keeps_the_limits_and_says_its_bound():
     planned = plan(CONFIG, 10.0, stop="extended")
     assert planned.speed <= CONFIG.failure.end_stop_speed
     assert (planned.bound < 0.02).all()
     assert np.abs(planned.commands).max() <= 0.3
     assert len(planned.commands) == pytest.approx(10.0 / CONFIG.control_period, abs=20)
-
-
-def test_a_worn_task_widens_the_ranges_of_a_rig_and_keeps_wider_ones():
-    worn = worn_task(CONFIG).randomisation
-    assert worn["valve.null_shift"].uniform == (-0.02, 0.02)
-    assert worn["valve.underlap"].uniform == pytest.approx((0.005, 0.055))
-    assert worn["valve.edge_ratio"].uniform == pytest.approx((0.85, 1.18))
-    wide = CONFIG.model_copy(update={"randomisation": {"valve.rated_flow": Distribution(factor=(0.5, 1.1))}})
-    own = CONFIG.plant.valve.rated_flow
-    assert worn_task(wide).randomisation["valve.rated_flow"].uniform == pytest.approx((0.5 * own, 1.25 * own))
 
 
 def test_the_flow_through_the_edges_is_that_of_two_equal_edges_in_series():

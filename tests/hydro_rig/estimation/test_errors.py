@@ -59,14 +59,6 @@ def test_whitening_is_the_inverse_root_of_the_covariance():
     assert (first[~known[0, 0]] == 0.0).all()
 
 
-@pytest.mark.parametrize("memory", [2.0, 12.0, 60.0])
-def test_no_combination_of_readings_is_less_sure_than_with_the_white_noise_that_stands_for_the_errors(memory):
-    lags = np.abs(np.subtract.outer(np.arange(400), np.arange(400)))
-    errors = Errors(np.array([[0.7]]), np.array([[1.9]]), np.array([[memory]]))
-    largest = np.linalg.eigvalsh(1.9**2 * np.exp(-lags / memory) + 0.7**2 * np.eye(400)).max()
-    assert errors.as_white(np.array([[400.0]]), 400).white[0, 0] ** 2 > largest
-
-
 def test_the_likelihood_is_that_of_the_normal_distribution():
     residual = np.random.default_rng(5).standard_normal((1, 1, 500)) * 2.0
     _, cost = errors_of(residual, np.ones(residual.shape, bool))
@@ -133,12 +125,3 @@ def test_a_recording_that_contradicts_the_data_sheet_is_read(clean, name):
 def test_nothing_is_said_of_a_recording_that_agrees_with_the_data_sheet(clean):
     _, found = EstimatorDetector(threads=1).read_and_fit(Windows.of(clean), TASK)
     assert contradictions(found, TASK) == []
-
-
-def test_an_absent_channel_has_no_spikes_and_no_warning(recwarn):
-    residual = np.random.default_rng(7).normal(size=(2, 4, 200))
-    residual[:, 1], residual[0, 2, 50] = np.nan, 40.0
-    found = spikes_of(residual, np.isfinite(residual))
-    assert not recwarn.list
-    assert not found[:, 1].any()
-    assert found[0, 2, 50]

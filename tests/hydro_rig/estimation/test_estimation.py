@@ -5,20 +5,13 @@ import pytest
 from driven_axes import CONFIG, FEW, PLANT, driven
 from refusal import refused
 
-from hydro_agents.detection.operations import at_rest
-from hydro_agents.learning.loading import shipped
-from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.plant.states import State
 from hydro_env.task.configuration import task_config
-from hydro_env.task.sensors import SENSORS
-from hydro_rig.estimation import unknowns
 from hydro_rig.estimation.estimate import estimate
-from hydro_rig.estimation.known_windows import known_windows, leak_cases
-from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.replay import Commands, Rows, replay
 from hydro_rig.estimation.search import EstimationSettings
-from hydro_rig.estimation.unknowns import LEAKAGE, Prior, default_unknowns, prior_of, priors_of
+from hydro_rig.estimation.unknowns import LEAKAGE, Prior, default_unknowns, prior_of
 
 QUICK = EstimationSettings(horizons=(0.2,), restarts=1)
 
@@ -63,24 +56,6 @@ def test_the_replay_is_what_the_environment_does(latencies):
     signals, physical, start = driven(config, [2.0] * 3, [1, 2, 3], 41, command)
     readings = replayed(config, signals[:, -1], physical, start, latency)
     np.testing.assert_allclose(readings, signals[:, :-1], rtol=1e-9, atol=1e-9)
-
-
-def test_the_sensors_lag_as_those_of_the_environment():
-    config = task_config(CONFIG, sensors={name: {"noise": 0, "bias": 0, "resolution": 0} for name in SENSORS})
-    signals, physical, start = driven(config, [0.3], [7])
-    readings = replayed(config, signals[:, -1], physical, start, [config.command_latency])
-    inside = (signals[:, 1] > 0.0) & (signals[:, 1] < 100e5)
-    np.testing.assert_allclose(readings[:, 1][inside], signals[:, 1][inside], rtol=1e-9)
-    np.testing.assert_allclose(readings[:, 0], signals[:, 0], atol=1e-12)
-
-
-def test_a_plant_that_cannot_be_integrated_gives_nan():
-    physical = driven(CONFIG, [0.3], [7], 3)[1]
-    physical[:, PLANT("leakage.internal_resistance")] = -1.0  # the chambers would drive each other
-    values = {"pressure_a": 2e6, "pressure_b": 3e6, "supply_pressure": 7e6, "gas_volume": np.nan}
-    start = np.array([[values.get(name, 0.0) for name in State._fields]])
-    readings = replayed(CONFIG, np.zeros((1, 9)), physical, start)
-    assert np.isnan(readings[:, :, -1]).all()
 
 
 def test_the_truth_is_recovered_from_exact_readings():
@@ -160,20 +135,6 @@ def test_batches_threads_and_neighbours_change_nothing(moving, found):
     np.testing.assert_allclose(alone.values[0], found.values[1], rtol=1e-6)
 
 
-def test_every_name_has_a_prior_and_scales_there_and_back():
-    of_sensors = unknowns.LATENCY, unknowns.RISE_TIME, *unknowns.BIASES, *unknowns.GAINS
-    names = [LEAKAGE, unknowns.EXTERNAL_LEAKAGE, *of_sensors, *unknowns.OF_A_WINDOW, *unknowns.PATHS]
-    names.remove("lines.wall_bulk_modulus")  # infinite
-    priors = priors_of(CONFIG, names)
-    model = Model(CONFIG, priors, np.zeros((1, 2)))
-    scaled = np.linspace(-2.0, 2.0, len(names))[None]
-    np.testing.assert_allclose(model.scaled(model.values(scaled)), scaled, atol=1e-6)
-    low, high = CONFIG.randomisation["load.mass"].bounds(60.0)
-    mass = priors["load.mass"]
-    assert low < mass.mean < high
-    assert mass.deviation == pytest.approx((high - low) / 12**0.5 / 60.0, rel=0.1)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -206,17 +167,3 @@ def test_faults_of_the_task_widen_its_priors():
     assert underlap.mean == pytest.approx(0.03 + healthy.mean, rel=0.1)
     assert prior_of(config, "position_bias").deviation == pytest.approx(0.02 * 0.4, rel=0.01)
     assert prior_of(config, "pressure_a_bias") == prior_of(CONFIG, "pressure_a_bias")
-
-
-def test_at_rest_the_search_ends_at_the_lowest_point():
-    task = at_rest(TaskConfig())
-    windows = known_windows(task, shipped("lqg", task), leak_cases(VALIDATION_SEEDS[930_000:], 4, 0.01), 1.0, 2.0)
-    read = estimate(windows.signals, task)
-    away = (read.value(LEAKAGE) - windows.leakage_flow_lpm) / read.deviation(LEAKAGE)
-    assert read.holds.all()
-    assert np.sqrt(np.mean(away**2)) < 2.0, "long differences reach across the valley: 3 to 4 then"
-    truth = {name: windows.value(name) for name in read.names}
-    from_truth = estimate(windows.signals, task, first=truth, settings=EstimationSettings(horizons=(), restarts=0))
-    readings = 4 * 401 - 2  # of windows without lost ones
-    costs = [one.chi2_per_sample * readings + (one.scaled**2).sum(axis=1) for one in (read, from_truth)]
-    np.testing.assert_array_less(-4.0, costs[1] - costs[0], "no better explanation near the truth")

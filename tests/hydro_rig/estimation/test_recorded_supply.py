@@ -20,7 +20,7 @@ from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.estimator import EstimatorDetector, wear_priors
 from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.search import EstimationSettings
-from hydro_rig.estimation.unknowns import LEAKAGE, Prior, course_of, priors_of
+from hydro_rig.estimation.unknowns import LEAKAGE, course_of, priors_of
 from hydro_rig.recordings.columns import ColumnMap
 
 CONFIG = TaskConfig(episode_duration=2.5)
@@ -107,33 +107,6 @@ def test_the_course_of_a_supply_is_the_sum_of_its_steps():
     read, expected = moving.readings(scaled), known.readings(scaled[:, :-2])
     # The recorded pressure is the mean over a period, the course that at its end.
     np.testing.assert_allclose(read, expected, rtol=0.02, atol=2.0)
-
-
-def test_a_recorded_pressure_at_the_setting_of_a_constant_supply_changes_nothing():
-    steady = task_config(CONFIG, plant={"supply": {"model": "constant"}})
-    priors, scaled = priors_of(steady), np.zeros((1, len(priors_of(steady))))
-    commands = np.tile(0.05 * np.sin(np.arange(100) / 10.0), (1, 1))
-    plain = Model(steady, priors, commands)
-    setting = float(plain.values(scaled)[0, plain.names.index("supply.pressure")])
-    boundary = np.full((1, 2, 100), steady.plant.supply.tank_pressure)
-    boundary[:, 0] = setting
-    known = Model(steady, priors, commands, boundary=boundary)
-    np.testing.assert_allclose(known.readings(scaled), plain.readings(scaled), rtol=1e-6, atol=1e-3)
-    boundary[:, 0] = 1.1 * setting
-    assert np.abs(known.readings(scaled) - plain.readings(scaled)).max() > 10.0
-    offset = Prior(0.1 * setting, 1e5)  # of its transducer, which reads 10 % too much
-    mended = Model(steady, priors | {"supply_pressure_bias": offset}, commands, boundary=boundary)
-    expected = plain.readings(scaled)
-    np.testing.assert_allclose(mended.readings(np.pad(scaled, ((0, 0), (0, 1)))), expected, rtol=1e-6, atol=1e-3)
-
-
-def test_missing_readings_of_the_gauge_are_bridged():
-    supply = np.where(np.arange(20) % 3 == 0, np.nan, 70e5)[None]
-    unknown = np.full(1, np.nan)
-    boundary = Windows(np.zeros((1, 5, 20)), unknown, unknown, {"supply_pressure": supply}).boundary
-    np.testing.assert_allclose(boundary[0, 0], 70e5)
-    assert np.isnan(boundary[0, 1]).all()
-    assert Windows.of(np.zeros((1, 5, 20))).boundary is None
 
 
 def test_a_real_ram_with_a_pump_gets_its_verdict_from_the_flow():

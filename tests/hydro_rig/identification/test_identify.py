@@ -13,15 +13,12 @@ from command_line import assert_one_clear_line, hydro
 from recorded import SEED, recorded_file
 from refusal import refused
 
-from hydro_agents.detection.detector import Windows
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.rig import read_rig
 from hydro_rig.identification.files import identify_to_folder
-from hydro_rig.identification.fit import fit_windows
 from hydro_rig.identification.identify import identify
-from hydro_rig.recordings.recording import read_recording
 
 RANGES = {
     "load.mass": {"uniform": [40.0, 80.0]},
@@ -178,18 +175,6 @@ def test_another_machine_gets_a_page_and_no_rig(folder, found):
         identify_to_folder(folder / "other", replace(found, fit=fit, held_back=held_back), False, "hydro identify")
     assert (folder / "other" / "identification.html").exists()
     assert not (folder / "other" / "rig.yaml").exists()
-
-
-def test_a_window_at_rest_without_pressures_tells_neither_mass_nor_flow(folder):
-    config = hidden(folder)
-    signals = read_recording(folder / "a.csv").signals[None, :, :300].repeat(2, axis=0)
-    signals[:, 1:4] = np.nan
-    signals[:, 0], signals[:, 4] = signals[:, 0, :1], 0.0
-    signals[:, 0] += 30e-6 * np.random.default_rng(0).standard_normal(signals[:, 0].shape)
-    fit = fit_windows(Windows.of(signals), config, config.randomisation)
-    assert not fit.knows(fit.unknowns[fit.names.index("load.mass")])
-    assert set(fit.names) == {"leakage_flow_lpm", *RANGES, "position_bias"}  # of the sensors and ranges that there are
-    assert not fit.knows(fit.unknowns[fit.names.index("valve.rated_flow")])
 
 
 def test_a_load_pressure_of_unknown_gain_stands_for_two_pressures(folder, tmp_path):

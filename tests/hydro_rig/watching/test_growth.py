@@ -56,20 +56,6 @@ def test_what_does_not_grow_reaches_no_limit():
     assert (above.ahead.low, above.ahead.high, above.not_before) == (0.0, 0.0, 0.0)
 
 
-def test_sizes_about_zero_are_readings_too():
-    noise = np.random.default_rng(3).normal(0.0, 0.003, len(DAYS))
-    found = growth(DAYS, noise, 0.3, np.full(len(DAYS), 0.003))
-    assert found.level.high < 0.03
-    assert found.not_before > 5.0
-
-
-def test_the_unit_of_time_is_the_callers():
-    size = 0.02 * 10.0 ** (RATE * DAYS + np.random.default_rng(2).normal(0.0, 0.02, len(DAYS)))
-    days, hours = (growth(factor * DAYS, size, 1.0, 0.05 * size) for factor in (1.0, 24.0))
-    assert hours.ahead.value == pytest.approx(24.0 * days.ahead.value)
-    assert hours.rate.value == pytest.approx(days.rate.value / 24.0)
-
-
 def test_too_few_readings_give_no_trend():
     for time, flow in (
         (np.zeros(0), np.zeros(0)),
