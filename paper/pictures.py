@@ -74,22 +74,20 @@ def paint_displacement(table: pd.DataFrame) -> list[Axes]:
 
 
 def paint_settling(table: pd.DataFrame) -> list[Axes]:
-    """Two laws by friction models: noise-free lines, points from the accelerometer, the theory dashed."""
+    """Two laws by friction models; the theory is dotted."""
     models = list(table["friction"].unique())
     panels = grid(len(LAWS), len(models), 6.0, sharex=True, sharey=True)
     for (row, column), axes in np.ndenumerate(panels):
         law, model = list(LAWS)[row], models[column]
         shown = table[(table["friction"] == model) & (table["law"] == law)]
         for colour, (underlap, part) in zip(("C0", "C1"), shown.groupby("valve_null_leakage"), strict=False):
-            ohm, signal = part["resistance_pa_s_m3"], part["signal_s"]
             label = "valve with null leakage" if underlap else "zero-lapped valve"
-            axes.plot(ohm, part["clean_s"], color=colour, marker="", linestyle="-", label=f"{label}, noise-free")
-            spread = [signal - part["signal_low_s"], part["signal_high_s"] - signal]
-            axes.errorbar(ohm, signal, yerr=spread, fmt="o", mfc="none", color=colour, label=f"{label}, accelerometer")
-            if model == "none":
-                axes.plot(
-                    ohm, part["theory_s"], color=colour, marker="", linestyle=":", label=f"{label}, linear theory"
-                )
+            lines = {"clean_s": ("-", "noise-free"), "theory_s": (":", "linear theory")}
+            for name, (style, words) in lines.items():
+                if part[name].notna().any():
+                    axes.plot(
+                        part["resistance_pa_s_m3"], part[name], style + colour, marker="", label=f"{label}, {words}"
+                    )
         axes.set(xscale="log", yscale="log", title=f"{LAWS[law]},\n{friction_words(model)}")
         axes.set_yticks(SECONDS, [setting(tick) for tick in SECONDS])
         axes.set_xlabel("leakage resistance at 100 bar, Pa s/m³" if row else "")

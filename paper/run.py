@@ -57,8 +57,7 @@ FIGURES = (
         pictures.paint_settling,
         verdicts.settling,
         "The axis extends at 4 V from +5 mm; the valve closes after 0.15 s. The settling time is the last crossing of "
-        "0.1 m/s², without the drift. The accelerometer's own noise reaches this threshold; its record is therefore "
-        "filtered to ±30 % about the oscillation, and points are the median of five records. Linear theory: T = t₁ + "
+        "0.1 m/s², without the drift and without the noise of an accelerometer. Linear theory: T = t₁ + "
         "ln(a₁/0.1)/(ζω). With the friction assumed here, friction ends the oscillation after a few periods and hides "
         "the trend of the paper, which gives no friction. Equations (10), (12)–(14), (17).",
     ),

@@ -12,7 +12,7 @@ from hydro_env import PlantParameters, Trajectory, resistance_from_flow
 from hydro_env.plant.linearisation import Mode, linearise
 from hydro_env.plant.states import STATE_NAMES
 from paper.rig import LAWS, PLANT, TIGHT, Law, quick_stop, simplified, with_leak
-from paper.signals import SETTLED, band_envelope, last_above, recorded_acceleration, swing_envelope
+from paper.signals import SETTLED, last_above, swing_envelope
 
 FRICTION_MODELS = ("none", "stribeck", "lugre")
 """``friction.model`` of each column of the figure; one more entry is one more column."""
@@ -20,8 +20,6 @@ FRICTION_MODELS = ("none", "stribeck", "lugre")
 SETTLING_LEAKS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
 """l/min at 100 bar."""
 
-NOISE_SEEDS = range(5)
-EDGE = 0.1  # s at the end of the record, where the filter of the noisy signal has no future
 RING_DOWN = (0.02, 0.10)  # s after the stop command; the state of the linear theory is the mean over it
 FIRST_SWINGS = 0.05  # s after the stop command
 
@@ -63,18 +61,9 @@ def settling_of(run: Trajectory, reference_frequency: float) -> tuple[float, flo
     return last_above(time, swing), theory
 
 
-def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int) -> float:
-    """Settling time in s from the accelerometer's record, by the envelope in a band about the oscillation."""
-    sample_time = float(run.time[1] - run.time[0])
-    signal = recorded_acceleration(run.acceleration, sample_time, np.random.default_rng(seed))
-    outline = band_envelope(signal, sample_time, reference_frequency)
-    usable = (run.time >= 0.0) & (run.time <= run.time[-1] - EDGE)
-    return last_above(run.time[usable], outline[usable])
-
-
 @cache
 def healthy_frequency() -> float:
-    """Oscillation frequency in rad/s with a tight seal; all detectors use it."""
+    """Oscillation frequency in rad/s with a tight seal."""
     plant = with_leak(simplified(PLANT, "none", False), TIGHT, "laminar")
     mode = oscillation_mode(quick_stop(plant))
     assert mode is not None
@@ -96,7 +85,6 @@ def settling_table(leaks: tuple[float, ...] = SETTLING_LEAKS) -> pd.DataFrame:
 def _row(plant: PlantParameters, law: Law, leak: float) -> dict[str, float | str | bool]:
     run, frequency = quick_stop(with_leak(plant, leak, law)), healthy_frequency()
     clean, theory = settling_of(run, frequency)
-    from_signal = [settling_from_signal(run, frequency, seed) for seed in NOISE_SEEDS]
     return {
         "friction": plant.friction.model,
         "valve_null_leakage": plant.valve.underlap > 0.0,
@@ -105,9 +93,6 @@ def _row(plant: PlantParameters, law: Law, leak: float) -> dict[str, float | str
         "resistance_pa_s_m3": resistance_from_flow(leak),
         "clean_s": clean,
         "theory_s": theory,
-        "signal_s": float(np.median(from_signal)),
-        "signal_low_s": min(from_signal),
-        "signal_high_s": max(from_signal),
     }
 
 

@@ -2,32 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
-from scipy.signal import butter, hilbert, lfilter, sosfiltfilt
 
 from hydro_env.task.sensors import Sensor
 from hydro_env.types import Floats
 
-GRAVITY = 9.81
-ACCELEROMETER_RANGE = 3.0 * GRAVITY  # m/s²; Table 1
-ACCELEROMETER_VOLTS = 0.440 / GRAVITY  # V per m/s²; Table 1
-ACCELEROMETER_BANDWIDTH = 400.0  # Hz; data sheet of the MMA7341L
-ACCELEROMETER_NOISE = 350e-6 * GRAVITY  # m/s² per √Hz; data sheet of the MMA7341L
-ACQUISITION_STEP = 20.0 / 65536  # V; 16 bit over ±10 V
-
-CONVERTER_NOISE_BANDWIDTH = 0.5 * math.pi
-"""Noise bandwidth of a first-order low-pass over its corner frequency."""
-
 SETTLED = 0.1
 """m/s²; the paper calls the axis settled below this (ε_a)."""
-
-
-def accelerometer_noise() -> float:
-    """Standard deviation in m/s² of the accelerometer's noise behind its own low-pass."""
-    return ACCELEROMETER_NOISE * math.sqrt(CONVERTER_NOISE_BANDWIDTH * ACCELEROMETER_BANDWIDTH)
 
 
 def recorded(true: Floats, sensor: Sensor, generator: np.random.Generator) -> Floats:
@@ -37,18 +18,6 @@ def recorded(true: Floats, sensor: Sensor, generator: np.random.Generator) -> Fl
     if sensor.resolution > 0.0:
         value = sensor.low + sensor.resolution * np.round((value - sensor.low) / sensor.resolution)
     return np.clip(value, sensor.low, sensor.high)
-
-
-def recorded_acceleration(true: Floats, sample_time: float, generator: np.random.Generator) -> Floats:
-    """The stored signal of the accelerometer: range, 400 Hz low-pass, noise, 16-bit steps; m/s²."""
-    pole = math.exp(-2 * math.pi * ACCELEROMETER_BANDWIDTH * sample_time)
-    start = [pole * float(true[0])]
-    smooth, _ = lfilter([1 - pole], [1, -pole], np.clip(true, -ACCELEROMETER_RANGE, ACCELEROMETER_RANGE), zi=start)
-    coloured = lfilter([math.sqrt(1 - pole**2)], [1, -pole], generator.standard_normal(len(true) + 50))[50:]
-    value = np.clip(smooth + accelerometer_noise() * coloured, -ACCELEROMETER_RANGE, ACCELEROMETER_RANGE)
-    step = ACQUISITION_STEP / ACCELEROMETER_VOLTS
-    stored: Floats = step * np.round(value / step)
-    return stored
 
 
 def drift(values: Floats, sample_time: float, frequency: float) -> Floats:
@@ -78,15 +47,3 @@ def last_above(time: Floats, values: Floats, level: float = SETTLED) -> float:
     """Last time at which ``values`` exceeds ``level``; 0 if it never does."""
     above = np.flatnonzero(values > level)
     return float(time[above[-1]]) if len(above) else 0.0
-
-
-def band_envelope(values: Floats, sample_time: float, frequency: float, width: float = 0.3) -> Floats:
-    """Envelope of the part of a noisy signal within ``frequency`` (rad/s) × (1 ± width).
-
-    The signal passes a second-order band-pass forwards and backwards (no delay); the envelope is the magnitude of its
-    analytic signal. White noise loses its power outside the band.
-    """
-    hertz = frequency / (2 * np.pi)
-    band: Any = butter(2, [hertz * (1 - width), hertz * (1 + width)], "bandpass", fs=1 / sample_time, output="sos")
-    size: Floats = np.abs(hilbert(sosfiltfilt(band, values)))
-    return size
