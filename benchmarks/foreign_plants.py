@@ -243,13 +243,13 @@ def task_of(machine: Machine, folder: Path, name: str) -> TaskConfig:
 
 def controller_of(name: str, task: TaskConfig) -> Any:
     """A controller of the table."""
-    if name == UNTUNED:
-        return FlowLinearising(FlowLinearisingGains(), task)
-    if name == "searched":
-        return make_controller(UNTUNED, task, searched_gains(UNTUNED, task).model_dump())
-    if name == "pid":
-        return make_controller("pid", task, gain_sets("pid", task)[0].model_dump())
-    return load_controller("ppo", task, name)
+    makers = {
+        UNTUNED: lambda: FlowLinearising(FlowLinearisingGains(), task),
+        "searched": lambda: make_controller(UNTUNED, task, searched_gains(UNTUNED, task).model_dump()),
+        "pid": lambda: make_controller("pid", task, gain_sets("pid", task)[0].model_dump()),
+        "policy": lambda: load_controller("ppo", task, name),
+    }
+    return makers[name]()
 
 
 def driven(
@@ -260,10 +260,9 @@ def driven(
     Returns true and measured signals in the order of CHANNELS (n, 4), commands (n,), and the error in its sensor, m.
     """
     loop, draws = OwnLoop(controller, task, si=True), np.random.default_rng(seed)
-    sensors = [getattr(task.sensors, name) for name in CHANNELS]
-    noise, bias, steps, low, high = (
-        np.array([getattr(sensor, field) for sensor in sensors])
-        for field in ("noise", "bias", "resolution", "low", "high")
+    fields = ("noise", "bias", "resolution", "low", "high")
+    noise, bias, steps, low, high = np.array(
+        [[getattr(getattr(task.sensors, name), field) for name in CHANNELS] for field in fields]
     )
     bias = draws.uniform(-1.0, 1.0, 4) * bias * task.sensors.enabled
     settling, places = round(SETTLING / machine.period), np.array([0, *task.preview_samples])

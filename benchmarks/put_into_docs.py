@@ -34,7 +34,8 @@ class Source(NamedTuple):
     file: str
     columns: Mapping[str, str]
     kept: Sequence[str] = ()
-    keep: str = ""
+    where: str = ""
+    pivot: Sequence[str] = ()
     rows: str = ""
     names: Mapping[str, str] = {}
 
@@ -50,32 +51,6 @@ def _written(row: pd.Series, form: str) -> str:
     if "nan" in text:
         text = text.partition(" (")[0]
     return text
-
-
-def errors(table: pd.DataFrame) -> pd.DataFrame:
-    """One row per controller: mean errors in both frames."""
-    chosen = table[(table["group"] == "all") & table["metric"].isin(("mean_error_mm", "mean_error_sensor_mm"))]
-    return chosen.pivot_table("mean", "controller", "metric", sort=False).reset_index()
-
-
-def against_the_first(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows over all cases against the first controller."""
-    return table[(table["against"] == table["against"].iloc[0]) & (table["group"] == "all")]
-
-
-def ordinary(table: pd.DataFrame) -> pd.DataFrame:
-    """The leaks of the page under ordinary conditions."""
-    return table[(table["condition"] == "ordinary") & table["level"].isin((0.05, 0.1, 0.2, 0.3, 1.0))]
-
-
-def conditions(table: pd.DataFrame) -> pd.DataFrame:
-    """The leaks of the page under all conditions of one rig."""
-    return table[table["level"].isin((0.0, 0.1, 0.3, 1.0)) & ~table["condition"].str.startswith("rig_")]
-
-
-def healthy(table: pd.DataFrame) -> pd.DataFrame:
-    """Controllers on axes with a healthy seal."""
-    return table[(table["leak"] == table["leak"].min()) & table["error_um"].notna()]
 
 
 def by_level(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
@@ -114,14 +89,15 @@ def speed(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
     return rows.fillna({"beside": ""})
 
 
-KEEP = {made.__name__: made for made in (errors, against_the_first, ordinary, conditions, healthy)}
 ROWS = {made.__name__: made for made in (by_level, by_condition, foreign, speed)}
 
 
 def kept_of(source: Source, table: pd.DataFrame) -> pd.DataFrame:
     """What docs/tables keeps of a table that a command wrote."""
-    if source.keep:
-        table = KEEP[source.keep](table)
+    if source.where:
+        table = table.query(source.where)
+    if source.pivot:
+        table = table.pivot_table(*source.pivot, sort=False).reset_index()
     return table[list(source.kept)] if source.kept else table
 
 
