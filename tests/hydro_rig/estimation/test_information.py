@@ -14,7 +14,7 @@ from hydro_rig.estimation.estimate import estimate, usable_readings
 from hydro_rig.estimation.information import bound, true_model
 from hydro_rig.estimation.known_windows import known_windows, leak_cases
 from hydro_rig.estimation.search import EstimationSettings
-from hydro_rig.estimation.unknowns import LEAKAGE, STARTS, Prior, default_unknowns, priors_of
+from hydro_rig.estimation.unknowns import BIASES, LEAKAGE, STARTS, Prior, default_unknowns, priors_of
 
 CONFIG = TaskConfig()
 PID, LEAK, LENGTH = shipped("pid", CONFIG), 0.3, 1.0
@@ -34,6 +34,19 @@ def seen_by(windows, *sensors, samples=None):
         if name not in sensors:
             signals[:, row] = np.nan
     return replace(windows, signals=signals)
+
+
+def test_windows_hold_the_truth_and_the_faults(windows):
+    """The simulator, told the truth, leaves nothing but noise."""
+    faults = {"valve_null_shift": 0.01, "external_leak": 0.5, "position_gain": 0.02, "pressure_b_offset": 0.01}
+    faulty = known_windows(CONFIG, PID, leak_cases(VALIDATION_SEEDS, 3, LEAK, faults), 0.2, 0.5)
+    for seen, truth in (windows, {LEAKAGE: LEAK}), (faulty, {"valve.null_shift": 0.01, "position_gain": 1.02}):
+        priors = priors_of(CONFIG, tuple(dict.fromkeys((*default_unknowns(CONFIG), *truth))))
+        model, scaled = true_model(CONFIG, seen, priors)
+        measured = usable_readings(seen.signals, CONFIG, model)
+        assert np.nanmean((measured - model.readings(scaled)) ** 2) == pytest.approx(1.0, abs=0.08)
+        for name, value in truth.items():
+            np.testing.assert_allclose(seen.value(name), value)
 
 
 def test_one_unknown_is_known_as_well_as_its_derivative_says(windows):
@@ -60,9 +73,25 @@ def test_a_bias_is_known_as_a_mean_is(windows):
         np.testing.assert_allclose(alone, (samples / noise**2 + prior**-2) ** -0.5, rtol=1e-3)
 
 
+def test_every_signal_and_every_sample_adds_and_every_unknown_takes(windows):
+    priors = priors_of(CONFIG)
+    leak = bound(CONFIG, windows, priors)
+    assert (bound(CONFIG, seen_by(windows, *SENSORS, samples=101), priors) > leak).all()
+    for sensor in SENSORS:
+        for some in ([sensor], [name for name in SENSORS if name != sensor]):
+            assert (bound(CONFIG, seen_by(windows, *some), priors) > leak).all()
+    assert (bound(CONFIG, windows, priors_of(CONFIG, (LEAKAGE, *BIASES))) < leak).all()
+
+
 def test_the_priors_remain_where_nothing_is_measured(windows):
     priors = priors_of(CONFIG)
     np.testing.assert_allclose(bound(CONFIG, seen_by(windows), priors), priors[LEAKAGE].deviation)
+
+
+def test_the_steps_of_the_differences_do_not_matter(windows, monkeypatch):
+    usual = bound(CONFIG, windows, priors_of(CONFIG))
+    monkeypatch.setattr("hydro_rig.estimation.information.RESPONSE", 1.0)
+    np.testing.assert_allclose(bound(CONFIG, windows, priors_of(CONFIG)), usual, rtol=0.01)
 
 
 def test_the_estimate_attains_the_bound(windows):

@@ -109,3 +109,12 @@ def test_eliminating_the_starts_leaves_the_information_of_the_whole_problem():
     first = [0, 3, 1, 4, 2]  # places of the first window's unknowns in the dense problem
     of_window = np.linalg.inv(reduced.precision[0])
     np.testing.assert_allclose(of_window, covariance[np.ix_(first, first)], rtol=1e-9)
+
+
+def test_a_direction_that_the_readings_seem_to_fix_beyond_rounding_keeps_a_step():
+    problem, guess = problem_of(np.array([0.3]), range(1_300_130, 1_300_131))
+    directions = problem.model.directions(np.diag(np.full(guess.shape[1], 1e24))[None], 1.0)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1e-6)
+    jacobian = problem.model.linearise(guess, directions, central=True)[1]
+    exact = problem.model.linearise(guess, central=True)[1]
+    np.testing.assert_allclose(jacobian, exact, atol=0.05 * np.abs(exact).max())

@@ -18,12 +18,15 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.rig import rig_from
 from hydro_env.task.sensors import POSITION
+from hydro_env.units import resistance_from_flow
 from hydro_rig.estimation.unknowns import Prior
+from hydro_rig.identification import common_fit
 from hydro_rig.identification.fit import Fit, Unknown
-from hydro_rig.identification.found_rig import _line, _with_unit, narrowed
+from hydro_rig.identification.found_rig import _line, _with_unit, found_values, narrowed
 from hydro_rig.identification.held_back import (
     HORIZONS,
     HeldBack,
+    _first_known,
     _share,
     errors_in_words,
     forecast_over,
@@ -117,6 +120,11 @@ def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
     assert forecast_over([short], 0.5).error[POSITION] < 1e-3
 
 
+def test_a_held_back_part_begins_where_the_position_is_known():
+    position = np.concatenate([np.full(50, np.nan), np.zeros(20), np.full(80, np.nan), np.zeros(100)])
+    assert 130 <= _first_known(position, 40) <= 150
+
+
 def test_ranges_are_narrowed_to_the_intervals_and_never_widened():
     fit = fit_of(
         {
@@ -132,6 +140,33 @@ def test_ranges_are_narrowed_to_the_intervals_and_never_widened():
     # Breakaway stays a multiple of Coulomb friction, which is 100 N now: 1.1 to 1.5 before, 0.95 to 1.3 found.
     assert found["friction.breakaway_force"] == {"uniform": [1.1, 1.3], "times": "friction.coulomb_force"}
     assert found["load.spring_stiffness"] == {"uniform": [89e3, 91e3]}
+
+
+def test_what_is_not_determined_keeps_its_range_in_si():
+    left = {"load.mass": 0.8, "load.spring_stiffness": 0.9}
+    fit = fit_of({"load.mass": (80.0, 40.0, 95.0), "load.spring_stiffness": (90e3, 1e3, 99e3)}, left)
+    found = narrowed(fit, CONFIG, RANGES)
+    assert found["load.mass"] == {"uniform": [30.0, 90.0]}
+    spring = CONFIG.plant.load.spring_stiffness
+    assert found["load.spring_stiffness"]["uniform"] == pytest.approx([0.8 * spring, 1.2 * spring])
+    assert found["load.spring_stiffness"]["otherwise_probability"] == 0.1
+
+
+def test_leaks_and_springs_stay_within_their_bounds():
+    path = "leakage.external_resistance"
+    tight = fit_of({"external_leakage_flow_lpm": (0.0, -0.01, 0.01)})
+    assert narrowed(tight, CONFIG, RANGES)[path]["otherwise"] == math.inf
+    leaking = narrowed(fit_of({"external_leakage_flow_lpm": (0.2, 0.15, 0.25)}), CONFIG, RANGES)[path]
+    assert leaking["log_uniform"] == pytest.approx([resistance_from_flow(flow) for flow in (0.25, 0.15)], rel=1e-5)
+    below = fit_of({"leakage_flow_lpm": (-0.01, -0.02, 0.0), "load.spring_stiffness": (-5.0, -9.0, 1.0)})
+    values = found_values(below, CONFIG)
+    assert values["load.spring_stiffness"] == 0.0
+    assert values["leakage.internal_resistance"] == math.inf
+
+
+@pytest.mark.parametrize(("misfit", "kept"), [([1, 2, 3, 20], [0, 1, 2]), ([9, 9, 9, 200, 300], [0, 1, 2, 3])])
+def test_a_large_misfit_is_an_outlier_sooner_where_most_windows_are_explained(misfit, kept):
+    assert common_fit.without_outliers(np.array(misfit, float)).tolist() == kept
 
 
 def test_every_number_of_a_rig_is_read_back_from_its_text_with_unit():

@@ -10,11 +10,13 @@ from benchmarks.hidden_rigs import true_values
 from hydro_agents.detection.detector import Windows
 from hydro_env import PlantParameters
 from hydro_env.task.configuration import task_config
+from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification.common_fit import Joint
 from hydro_rig.identification.fit import Fit, Unknown, fit_windows, widened
 from hydro_rig.identification.found_rig import found_values, narrowed, shown
 from hydro_rig.identification.intervals import (
+    _rises,
     beside_the_edge,
     spread_of,
     truncated_end,
@@ -100,6 +102,49 @@ def test_intervals_are_as_wide_as_recordings_disagree(shift, before, after):
     assert held / 200 >= after
     assert np.median(wider, axis=0)[1] == 1.0  # of the unknown on which they agree
     assert (np.median(wider, axis=0)[0] > 1.5) == (shift > 0.0)
+
+
+def test_a_direction_that_windows_contradict_widens_its_own_unknown(jacobian):
+    inside, widening = coverage(jacobian, 1.0)
+    assert inside[0] > 0.85, inside
+    assert widening[0] > 1.4
+    assert (widening[1:] < 1.25).all(), widening
+    assert (inside[1:] > 0.93).all(), inside
+
+
+class Saturating:
+    """Readings of two unknowns: the first acts only below 0.5, like a limit that the motion never reached."""
+
+    count = WINDOWS
+
+    def __init__(self, edge=0.5):
+        self.edge = edge
+        self.time = np.linspace(-1.0, 1.0, READINGS)
+
+    def readings(self, scaled, samples=None):
+        limit, gain = np.minimum(scaled[:, 0], self.edge), scaled[:, 1]
+        return (20.0 * limit[:, None] * self.time + 20.0 * gain[:, None])[:, None]
+
+
+def fit_at(model, limit):
+    """The fit at a value of the limit; its slope is that of differences to both sides."""
+    scaled = np.tile([limit, 0.3], (WINDOWS, 1))
+    measured = model.readings(scaled)
+    slope = 0.5 * (1.0 if limit < model.edge else 0.0) + 0.5 * (1.0 if limit <= model.edge else 0.0)
+    jacobian = np.tile(20.0 * np.stack([slope * model.time, np.ones(READINGS)]), (WINDOWS, 1, 1))
+    information = jacobian @ jacobian.transpose(0, 2, 1)
+    return Problem(model, measured, None), joint_of(scaled[0], information, np.zeros((WINDOWS, 2)))
+
+
+@pytest.mark.parametrize("step", [0.5, 2.0])
+def test_a_limit_that_was_never_reached_leaves_the_cost_flat_on_one_side(step):
+    fitted = fit_at(Saturating(), 0.5)
+    deviation = np.sqrt(np.diag(np.linalg.inv(fitted[1].precision)))
+    rises = _rises(*fitted, step * np.tile(deviation[:, None], 2))
+    assert rises[0, 1] < 0.25 < rises[0, 0]
+    # Where the limit acts, the rise is that of the linear model, also along its ridge.
+    rises = _rises(*fit_at(Saturating(edge=3.0), 0.5), step * np.tile(deviation[:, None], 2))
+    assert rises == pytest.approx(1.0, abs=0.01)
 
 
 def test_the_intervals_of_unknowns_on_a_curve_hold_their_whole_valley(tmp_path):

@@ -8,10 +8,11 @@ import pandas as pd
 import pytest
 import scipy.io
 from optional_libraries import library
-from recorded import recorded_file
+from recorded import CONFIG, changed, recorded_file
 from refusal import refused
 
 from hydro_rig.recordings.columns import read_map
+from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import read_recording
 
 BEGIN = pd.Timestamp("2026-03-10 08:00:00")
@@ -277,3 +278,19 @@ def test_what_stays_out_is_told_in_one_line_with_its_conversion(tmp_path, origin
     table.rename(columns=lambda heading: heading.replace("bar", "mA")).to_csv(tmp_path / "b.csv", index=False)
     with refused(r"'pressure_a \[mA\]' is a current; give unit, gain and offset in the map.*4 to 20 mA"):
         read_recording(tmp_path / "b.csv")
+
+
+def test_a_raw_current_is_named_with_its_gain_and_offset(original):
+    recording = original[0]
+    signals = recording.signals.copy()
+    signals[1:3] = 1e5 * (4.0 + 16.0 * signals[1:3] / CONFIG.sensors.pressure_a.high)
+    told = [finding.line() for finding in check_recording(changed(recording, signals=signals), CONFIG).findings]
+    wanted = "raw signals of 4 to 20 mA would fit: for sensors of 0 bar to 100 bar write gain: 6.25, offset: -25 in"
+    assert any(wanted in line for line in told), told
+
+
+def test_days_of_excel_with_another_unit_in_the_map_name_their_own(original):
+    recording = original[0]
+    days = changed(recording, time=recording.time / 86400.0)
+    told = [finding.line() for finding in check_recording(days, CONFIG).findings]
+    assert any("stamps in d instead of s would fit" in line for line in told), told

@@ -79,6 +79,14 @@ def test_mat_files_with_a_map(tmp_path):
     same_as_written(tmp_path / "a.mat", read_map(tmp_path / "map.yaml"))
 
 
+def test_vectors_of_unequal_length_are_told(tmp_path):
+    content = {"t": TIME, "u": COMMAND, "x": np.arange(5.0)}
+    scipy.io.savemat(tmp_path / "a.mat", content)
+    (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
+    with refused("'x' has 5 values, that of the command has 200"):
+        read_recording(tmp_path / "a.mat", read_map(tmp_path / "map.yaml"))
+
+
 @pytest.mark.parametrize(("kind", "name"), [("parquet", "pyarrow"), ("mat", "scipy.io")])
 def test_a_damaged_file_is_told_in_one_line(tmp_path, kind, name):
     library(name)

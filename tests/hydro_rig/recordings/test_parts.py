@@ -34,6 +34,12 @@ def test_the_last_part_with_its_share_of_the_motion_is_held_back():
     assert parts.findings == [[]]
 
 
+def test_an_axis_that_always_moves_is_held_back_from_the_end():
+    samples = samples_of(4000)
+    samples.signals[POSITION] = 0.01 * np.sin(9.0 * samples.time)
+    assert parts_alone(samples).held_back[0].begin == 14.0
+
+
 def test_of_a_long_recording_each_section_gives_its_liveliest_window():
     parts = parts_alone(samples_of(40_000))
     assert len(parts.fitted.begin) == 12
@@ -106,3 +112,8 @@ def test_what_tells_nothing_is_refused(row, columns, value, words):
     samples.signals[row, columns] = value
     with refused(words):
         parts_alone(samples)
+
+
+def test_a_recording_of_a_second_is_refused():
+    with refused("holds 1 s of samples; at least 2 s are needed"):
+        parts_alone(samples_of(200))

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from recorded import CONFIG, changed, healthy
 
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.task.configuration import task_config
+from hydro_rig.recordings.channels import check_driving
 from hydro_rig.recordings.findings import Weight
-from hydro_rig.recordings.quality import check_recording
+from hydro_rig.recordings.quality import balance, check_recording, flow_into_a
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import bridged, cut, on_grid, sampled
 
@@ -178,6 +181,20 @@ def test_a_wrong_sign_is_found_with_fewer_sensors(recording, absent):
         assert words in severe[0].line() if words else not severe
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_sign_of_a_load_pressure_is_checked(recording, sign):
+    load = {"differential_pressure": True, "pressure_a": {"low": -1e7}, "pressure_b": {"fitted": False}}
+    signals = np.full_like(recording.signals, np.nan)
+    signals[[0, 1, 4]] = (
+        recording.signals[0],
+        sign * (recording.signals[1] - recording.signals[2]),
+        recording.signals[4],
+    )
+    one = changed(recording, signals=signals)._replace(differential=True)
+    severe = check_recording(one, task_config(CONFIG, sensors=load)).severe
+    assert [("the other sign)" in finding.line()) for finding in severe] == [True] * (sign < 0)
+
+
 @pytest.mark.parametrize("rows", [-1, 1])
 def test_a_command_in_the_wrong_row_is_moved_back(recording, rows):
     moved = check_recording(command_moved(rows)(recording), CONFIG).samples
@@ -237,6 +254,15 @@ def test_a_fast_log_of_a_few_commands_is_taken_on_its_own_grid():
     assert on_grid(CONFIG, CONFIG.control_period) is CONFIG
 
 
+def test_a_fast_log_without_a_change_of_command_has_a_grid_too():
+    log = stepped(10_000, [(0.0, 0.2)])
+    log.signals[4, 300:340] = np.nan
+    samples = check_recording(log, CONFIG, own_grid=True).samples
+    assert samples.period == pytest.approx(1e-3)
+    assert np.nanmin(samples.signals[4]) == np.nanmax(samples.signals[4]) == 0.2
+    assert 3 <= np.isnan(samples.signals[4]).sum() <= 4
+
+
 def test_readings_of_a_slow_sensor_between_the_samples_of_the_controller_are_kept(recording):
     """A log of 1 kHz with a pressure at every tenth row, 2 ms after a sample of the controller."""
     signals = np.repeat(recording.signals, 5, axis=1)
@@ -247,6 +273,13 @@ def test_readings_of_a_slow_sensor_between_the_samples_of_the_controller_are_kep
     np.testing.assert_array_equal(samples.signals[1][np.isfinite(samples.signals[1])], recording.signals[1, ::2])
 
 
+def test_a_log_that_keeps_the_control_period_is_taken_at_it(recording):
+    assert check_recording(recording, CONFIG).samples.period == CONFIG.control_period
+    forced = sampled(recording, CONFIG, own_grid=True)
+    np.testing.assert_array_equal(forced.signals[4, 1:], recording.signals[4, :-1])
+    np.testing.assert_array_equal(forced.signals[0], recording.signals[0])
+
+
 @pytest.mark.parametrize("period", [1.0 / 204.8, 7e-3])
 def test_a_log_that_does_not_fit_the_control_period_has_a_grid_of_its_own(recording, period):
     """The same rows with another clock: nothing but the period changes."""
@@ -254,6 +287,16 @@ def test_a_log_that_does_not_fit_the_control_period_has_a_grid_of_its_own(record
     assert samples.period == pytest.approx(period, rel=1e-4)
     np.testing.assert_allclose(samples.time, period * np.arange(len(recording.time)), atol=1e-3 * period)
     np.testing.assert_array_equal(samples.signals[:4], recording.signals[:4])
+
+
+def test_rows_that_were_taken_at_their_jittering_stamps_are_interpolated(recording):
+    stamps = np.sort(recording.time + np.random.default_rng(1).uniform(-4e-3, 4e-3, len(recording.time)))
+    signals = np.array([np.interp(stamps, recording.time, values) for values in recording.signals])
+    signals[4] = recording.signals[4, np.searchsorted(recording.time[:-1], stamps)]
+    found = check_recording(changed(recording, time=stamps, signals=signals), CONFIG)
+    assert any("interpolated at a steady clock" in finding.line() for finding in found.findings)
+    right = np.interp(found.samples.time, recording.time, recording.signals[0])
+    assert np.nanstd(found.samples.signals[0] - right) < 1e-4  # 5 mm between the samples at 1 m/s
 
 
 def test_windows_keep_gaps_as_missing_samples(recording):
@@ -279,8 +322,27 @@ def test_single_lost_commands_are_filled_in_from_the_signals_around_them(recordi
     assert cut(samples, 300).commanded.tolist() == [True, True, True, False]
 
 
+@pytest.mark.parametrize(("volts", "words"), [(3.0, []), (50.0, ["axis runs with the command at its limit"])])
+def test_a_valve_at_its_limit_for_long_is_named(recording, volts, words):
+    signals = recording.signals.copy()
+    signals[4] = np.clip(0.1 * volts * np.sin(100.0 * recording.time), -1.0, 1.0)
+    found = check_driving(sampled(changed(recording, signals=signals), CONFIG))
+    assert [finding.line().partition(",")[0] for finding in found] == words
+
+
 @pytest.mark.parametrize("own_grid", [False, True])
 def test_stamps_too_close_for_any_rig_are_a_finding(recording, own_grid):
     samples = sampled(changed(recording, time=1e-310 * recording.time), CONFIG, own_grid)
     assert not len(samples.time)
     assert [finding.weight for finding in samples.findings] == [SEVERE]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_motion_at_one_speed_is_judged_by_its_mean(sign):
+    """The little that a steady flow changes says nothing: here it runs against the changes of the speed."""
+    signals = np.tile(np.array([[0.0], [40.0 * BAR], [60.0 * BAR], [0.2], [2.0]]), 1000)
+    time, c = CONFIG.control_period * np.arange(1000), plant_coefficients(CONFIG.plant)
+    signals[3] -= 1e-3 * np.cos(3.0 * time)
+    speed = flow_into_a(signals, CONFIG).mean() / c.area_a
+    signals[0] = sign * (speed * (time - 1.0) + 2e-3 * np.sin(3.0 * time))
+    assert balance(signals, CONFIG).slope == pytest.approx(sign, rel=0.05)

@@ -9,7 +9,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.recordings.columns import read_map
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.recording import read_recording
-from hydro_rig.recordings.row_distance import equidistant
+from hydro_rig.recordings.row_distance import equidistant, spacing_of
 from hydro_rig.recordings.sampling import cut, sampled
 from hydro_rig.recordings.simulated import recording_csv
 
@@ -30,6 +30,19 @@ def test_record_keeps_every_step_of_the_sensors(tmp_path):
     step = 0.4 / (65536 * 8.0 / 20.0)
     places = (found.signals[0] + 0.2) / step
     assert np.abs(places - np.rint(places)).max() < 0.1
+
+
+def test_columns_between_spaces_have_their_headings_in_a_comment(tmp_path):
+    rows = [line.replace(",", "   ") for line in PLAIN.splitlines() if not line.startswith("#")]
+    head = "#" + ",".join(PLAIN.splitlines()[1].split(","))
+    found = read_recording(written(tmp_path, "\n".join(["# of a test bench", head, *("  " + row for row in rows[1:])])))
+    np.testing.assert_allclose(found.signals, SIGNALS, rtol=1e-6)
+    spaced = written(tmp_path, "\n".join(["time command position", *(" ".join(row.split()[:3]) for row in rows[1:])]))
+    (tmp_path / "map.yaml").write_text(
+        "time: time\nposition: {column: command, unit: mm}\ncommand: {column: 3, unit: bar}"
+    )
+    with refused("bar"):
+        read_recording(spaced, read_map(tmp_path / "map.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -127,6 +140,20 @@ def test_a_distance_of_rows_that_the_stamps_leave_open_is_asked_for(spacing):
     finding = equidistant(spacing, 0.005)[1]
     assert finding.weight is Weight.SEVERE
     assert "'equidistant: 5 ms'" in finding.line()
+
+
+def test_rounded_stamps_leave_a_row_more_and_a_row_less_open():
+    """Whole seconds of rows every 6.99 ms: a new one in rows 144, 287 and 430."""
+    low, high = spacing_of(np.floor(6.99e-3 * np.arange(500)))
+    assert (low, high) == pytest.approx((1.0 / 144, 1.0 / 142))
+    assert low < 6.99e-3 < high
+
+
+@pytest.mark.parametrize(("mark", "separator"), [("%", " "), ("# ", ","), ("% ", "\t")])
+def test_a_mark_before_the_headings_is_no_column(tmp_path, mark, separator):
+    head, *rows = (line.replace(" [", "[").replace(",", separator) for line in PLAIN.splitlines()[1:])
+    text = "\n".join(["% exported, by a simulation", mark + head, *rows])
+    np.testing.assert_allclose(read_recording(written(tmp_path, text)).signals, SIGNALS, rtol=1e-6)
 
 
 def test_text_becomes_a_finding_with_its_line(tmp_path):
