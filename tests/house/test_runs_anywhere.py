@@ -1,4 +1,4 @@
-"""It runs where the fast path cannot: no folder for the cache, an older processor, processes and threads.
+"""It runs where the fast path cannot: no folder for the cache, many threads.
 
 tests/hydro_env/plant/test_compiled_code.py runs it without a compiler.
 """
@@ -11,7 +11,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import gymnasium as gym
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
@@ -20,22 +19,6 @@ from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
 
 ROOT = Path(__file__).parents[2]
 STEPS = 40
-EPISODE = f"""
-import json, sys, warnings
-warnings.simplefilter("ignore", RuntimeWarning)  # uncompiled unsigned numbers wrap around, as they must
-from numba.core.event import install_recorder
-import gymnasium as gym
-import hydro_env
-with install_recorder("numba:compile") as recorder:
-    env = gym.make("hydro_env:ServoHydraulic-v0", **json.loads(sys.argv[1]))
-    rows = [env.reset(seed=5)[0].tolist()]
-    for number in range({STEPS}):
-        rows.append(env.step([0.8 if number % 10 < 5 else -0.4])[0].tolist())
-from hydro_env.task import kernel
-stats = getattr(kernel.step_axes.dispatcher, "stats", None)
-found = {{"rows": rows, "kept": bool(stats and stats.cache_path), "compiled": len(recorder.buffer) // 2}}
-print(json.dumps({{**found, "module": hydro_env.__file__}}))
-"""
 RUN = f"""
 import json
 import hydro_env
@@ -48,22 +31,10 @@ print(json.dumps({{**found, "module": hydro_env.__file__}}))
 """
 
 
-EXACT = {"sensors": {"enabled": False}}
-"""Without 16-bit steps, which would make a whole step of a difference in the last digit."""
-
-
-def episode_here(**task):
-    env = gym.make("ServoHydraulic-v0", **task)
-    rows = [env.reset(seed=5)[0].tolist()]
-    for number in range(STEPS):
-        rows.append(env.step([0.8 if number % 10 < 5 else -0.4])[0].tolist())
-    return np.array(rows)
-
-
-def elsewhere(code, folder=ROOT, task=None, **variables):
+def elsewhere(code, folder, **variables):
     """What code prints in a fresh process with other environment variables, with the package in ``folder``."""
     answer = subprocess.run(
-        [sys.executable, "-c", code, json.dumps(task or {})],
+        [sys.executable, "-c", code],
         env={**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", **variables},
         cwd=folder,
         capture_output=True,
@@ -108,30 +79,6 @@ def test_without_any_folder_for_the_cache_the_integration_uses_the_widest_vector
     assert packed["mul"] > scalar / 4, (packed, scalar)
     assert packed["sqrt"] >= 8, packed
     assert packed["div"] >= 8, packed
-
-
-@pytest.fixture(scope="module")
-def older(tmp_path_factory):
-    """Episodes on a processor without any instruction beyond SSE4.2, with an empty cache and once more after it."""
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("cache"))}
-    return [
-        elsewhere(EPISODE, ROOT, EXACT, NUMBA_CPU_NAME="x86-64-v2", NUMBA_CPU_FEATURES="", **cache) for _ in range(2)
-    ]
-
-
-@pytest.mark.slow  # compiles everything for another processor
-def test_on_a_processor_without_wide_registers(older):
-    """The same within rounding, and few functions are compiled before the first step.
-
-    Not the same bits: a processor that multiplies and adds in one instruction rounds once where another rounds twice.
-    What holds on one processor, bit for bit, whatever the number of axes, their order and threads, is tested below.
-    """
-    for found in older:
-        assert found["kept"]
-        np.testing.assert_allclose(found["rows"], episode_here(**EXACT), rtol=0, atol=1e-6)
-    cold, warm = (found["compiled"] for found in older)
-    assert 0 < cold <= 180
-    assert warm == 0  # everything came from the cache
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,10 @@
 """Configuration files and JSON: what is read, and the one line that answers every attack."""
 
-import os
-
 import pytest
 from refusal import refused
 
 from hydro_env import ConfigurationError
-from hydro_env.files import LARGEST_FILE, Group, read_json, read_text, read_yaml, validate, write_text
+from hydro_env.files import LARGEST_FILE, Group, read_json, read_text, read_yaml, validate
 from hydro_env.units import Number
 
 NESTED = "a0: &a0 [1, 1]\n" + "\n".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 40))
@@ -57,21 +55,6 @@ def test_large_files_and_files_that_are_no_text(tmp_path):
     assert len(read_text(tmp_path / "largest")) == LARGEST_FILE
     (tmp_path / "marked.yaml").write_bytes(b"\xef\xbb\xbfa: 1")  # as Windows writes it
     assert read_yaml(tmp_path / "marked.yaml") == {"a": 1}
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no umask")
-def test_files_have_the_rights_that_the_user_gives_new_files(tmp_path):
-    mask = 0o027
-    before = os.umask(mask)
-    try:
-        write_text(tmp_path / "a.yaml", "a: 1")
-        write_text(tmp_path / "a.yaml", "a: 2")
-    finally:
-        os.umask(before)
-    assert (tmp_path / "a.yaml").stat().st_mode & 0o777 == 0o666 & ~mask
-    assert [file.name for file in tmp_path.iterdir()] == ["a.yaml"]
-    write_text(tmp_path / "a.yaml", "f\udcff µ")  # is no UTF-8: written escaped
-    assert (tmp_path / "a.yaml").read_text(encoding="utf-8") == "f\\udcff µ"
 
 
 class Settings(Group):

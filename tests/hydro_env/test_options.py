@@ -203,13 +203,3 @@ ACTIONS += [
     (three, np.array([[0.0], [NAN], [0.0]]), r"actions\[1\] = nan: must be a finite number"),
     (three, np.zeros(3), r"actions: shape \(3,\): must be numbers within -1 to 1, of shape \(3, 1\)"),
 ]
-
-
-@pytest.mark.parametrize(("make", "action", "message"), ACTIONS, ids=words)
-def test_a_wrong_action_is_refused_and_does_no_harm(make, action, message):
-    env, untouched = make(), make()
-    for each in (env, untouched):
-        each.reset(seed=1)
-    with refused(message):
-        env.step(action)
-    np.testing.assert_array_equal(stepped(env, 0.5), stepped(untouched, 0.5))

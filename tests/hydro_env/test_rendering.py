@@ -12,8 +12,6 @@ from hydro_env import PlantParameters, rendering
 from hydro_env.plant.states import State
 from hydro_env.rendering import AxisRenderer, View
 
-pygame = pytest.importorskip("pygame")
-
 TIME = 0.005 * np.arange(401)
 VIEW = View(
     time=2.0,
@@ -106,26 +104,3 @@ def test_neither_pygame_nor_a_display_nor_fonts_are_needed():
     result = subprocess.run([sys.executable, "-c", WITHOUT], env=environment, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     assert "font" not in result.stderr.lower()
-
-
-@pytest.fixture
-def dummy_video(monkeypatch):
-    pygame.display.quit()
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    yield
-    pygame.display.quit()
-
-
-@pytest.mark.usefixtures("dummy_video")
-@pytest.mark.parametrize("by_its_user", [True, False])
-def test_a_window_shows_the_same_picture_and_stays_closed(renderer, by_its_user):
-    window = AxisRenderer("human")
-    assert draw(window) is None
-    shown = np.swapaxes(pygame.surfarray.array3d(pygame.display.get_surface()), 0, 1)
-    np.testing.assert_array_equal(shown, draw(renderer))
-    if by_its_user:
-        pygame.event.post(pygame.event.Event(pygame.QUIT))
-        assert [draw(window) for _ in range(2)] == [None, None]
-    window.close()
-    window.close()
-    assert not pygame.display.get_init()

@@ -81,17 +81,6 @@ def test_the_start_of_an_episode_forgets_what_was_before(name):
 
 
 @pytest.mark.parametrize("name", EVERYTHING)
-def test_one_axis_alone_gets_the_same_answers(name):
-    controller = EVERYTHING[name]
-    together, _ = run(controller, None, range(40))
-    state = None
-    for step in range(40):
-        answer, state = controller.predict(OBSERVATIONS[step, 1], state)
-        assert np.shape(answer) == np.shape(together)[2:]
-        np.testing.assert_allclose(answer, together[step, 1], rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.parametrize("name", EVERYTHING)
 @pytest.mark.parametrize(("before", "now"), [(AXES, 2), (1, AXES)])
 def test_a_memory_of_another_number_of_axes_is_refused(name, before, now):
     controller = EVERYTHING[name]

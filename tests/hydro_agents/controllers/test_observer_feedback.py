@@ -141,20 +141,4 @@ def test_a_constant_load_leaves_no_error(kind):
     assert np.all(errors[:, -20:] < 1e-6)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("previews", [(), (0.005, 0.010, 0.020, 0.040)])
-def test_a_long_saturated_move_ends_without_overshoot(kind, previews):
-    """At full speed for a tenth of a second, with and without a preview: nothing has wound up."""
-    config = TaskConfig(
-        randomisation={},
-        sensors={"enabled": False},
-        references={"weights": {"user": 1.0}, "user": [0.0] * 20 + [0.03], "preview_times": previews},
-        episode_duration=1.0,
-    )
-    run = run_cases(config, make_controller(kind, config), Cases(np.array([1])))
-    assert np.sum(run.command == 1.0) > 20
-    assert run.position.max() < 0.03 + 0.3e-3
-    assert abs(run.position[0, -1] - 0.03) < 5e-6
-
-
 # What every controller with an observer does -------------------------------------------------------------------------

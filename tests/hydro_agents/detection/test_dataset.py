@@ -7,7 +7,6 @@ from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection import dataset
 from hydro_agents.detection.dataset import (
     LABEL_OF_FAULT,
-    LEAK_COURSES,
     Chunk,
     LabelledWindows,
     TrainingPlan,
@@ -15,7 +14,6 @@ from hydro_agents.detection.dataset import (
     simulated,
 )
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
-from hydro_agents.detection.operations import OPERATIONS
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.seeds import TRAINING_SEEDS
@@ -79,16 +77,6 @@ def test_every_label_but_the_leak_follows_from_a_fault():
     hanging = task_config(plant={"load": {"external_force": 2000.0}})  # a weight meets no leak past the rod seal
     assert sizes["external_leak"].any()
     assert not draw_faults(hanging, np.random.default_rng(0), 400, 0.6)[0]["external_leak"].any()
-
-
-def test_the_runs_are_shared_out_over_operations_and_leaks():
-    settings = HeadTrainingSettings(changing_share=0.4, orifice_share=0.1, disturbed_share=0.2)
-    chunks = TrainingPlan(CONFIG, [CONTROLLER], settings).chunks(10_000)
-    axes = {leak: sum(chunk.axes for chunk in chunks if chunk.leak == leak) for leak in LEAK_COURSES}
-    assert axes == {"constant": 5000, "onset": 2000, "growth": 2000, "orifice": 1000}
-    assert sum(chunk.axes for chunk in chunks if chunk.disturbed) == 2000
-    assert {chunk.row for chunk in chunks} == set(range(len(OPERATIONS)))
-    assert max(chunk.axes for chunk in chunks) <= 256
 
 
 @pytest.mark.parametrize("leak", ["onset", "growth"])

@@ -109,17 +109,6 @@ def test_a_file_names_its_task_rigs_and_gains_by_path_and_the_digest_follows_all
     assert file_sha256(path) == whole
 
 
-def test_a_sweep_makes_one_condition_per_parameter_and_factor(tmp_path):
-    path = tmp_path / "own.yaml"
-    sweep = {"plants": 4, "leak_levels": [1.0], "factors": {"load.mass": [0.5, 2.0], "fluid.bulk_modulus": [0.8]}}
-    path.write_text(yaml.safe_dump({**SMALL, "sweep": sweep}, sort_keys=False))
-    protocol = RobustnessProtocol.from_yaml(path)
-    assert list(protocol.conditions) == ["plain", "late", "mass_x0.5", "mass_x2", "bulk_modulus_x0.8"]
-    heavy = protocol.conditions["mass_x2"]
-    assert (heavy.group, heavy.plants, heavy.leak_levels) == ("parameter", 4, (1.0,))
-    assert heavy.factors == {"load.mass": 2.0}
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -4,11 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import ROOT
-from refusal import refused
 from small_protocol import Broken, Proportional, small
 
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.participants import Participants, participants, split_name
+from hydro_agents.evaluation.participants import Participants, participants
 from hydro_agents.evaluation.runner import DONE, FAILED, NOT_APPLICABLE, run
 from hydro_agents.running.cases import run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER
@@ -60,13 +59,6 @@ def test_an_interrupted_run_keeps_its_finished_jobs_and_goes_on(alone, tmp_path)
     assert counts[0][1] == 3
     assert counts[-1][1] == counts[-1][2]
     assert_same(results, alone)
-
-
-def test_another_controller_of_the_same_name_takes_no_old_results(tmp_path):
-    first = run(small(), Participants({"P": Proportional()}), tmp_path, jobs=1)
-    other = run(small(), Participants({"P": Proportional(20.0)}), tmp_path, jobs=1)
-    assert other.reused == 0
-    assert not first.part("tracking")["mean_error_mm"].equals(other.part("tracking")["mean_error_mm"])
 
 
 # Failures ----------------------------------------------------------------------------------------------------------
@@ -127,19 +119,6 @@ def test_other_periods_and_rigs_need_controllers_of_their_own():
     assert ready.of("PID", "slow", named).gains.proportional == 15.0
     assert ready.of("PID", "slow", named).layout.control_period == 0.01
     assert ready.of("PID", "plain", named).layout.control_period == 0.005
-
-
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        (["PID", "PID#0"], "same training seed"),
-        (["PPO#x"], "must be NAME"),
-    ],
-)
-def test_names_hold_training_seeds(names, message):
-    with refused(message):
-        participants(dict.fromkeys(names, "pid"), small())
-    assert (split_name("PPO#12"), split_name("PPO")) == (("PPO", 12), ("PPO", 0))
 
 
 def test_a_case_can_be_run_again(alone):

@@ -95,17 +95,6 @@ def test_the_preview_is_that_of_the_reference_some_paces_ahead(task):
     np.testing.assert_allclose(ahead, [*(speed * times), speed * pace(task)], rtol=1e-3, atol=2e-6)
 
 
-def test_a_spool_that_is_not_measured_is_replaced_by_the_last_command():
-    task = next(task for task in RIGS if not task.sensors.spool_position.fitted)
-    features = AnyAxisFeatures(task, untuned(task))
-    env = ServoHydraulicVectorEnv(2, task, info=False)
-    observation, _ = env.reset(seed=0)
-    for _ in range(2):
-        observation, *_ = env.step([[0.3], [-0.2]])
-    inputs, _ = features(observation, None, None)
-    np.testing.assert_allclose(inputs[:, HISTORY_SIGNALS.index("spool_position")], [0.3, -0.2], rtol=1e-6)
-
-
 def test_a_correction_is_in_proportion_to_the_error_that_the_rig_allows():
     task = RIGS[0]
     sizes = [
@@ -160,19 +149,6 @@ def test_a_training_may_begin_with_weights_and_teach_its_critic_first(policy, tm
     wider = SETTINGS.model_copy(update=more | {"hidden_sizes": (9,)})
     with refused("start: its weights have other inputs or layers"):
         train_policy(TASK, wider, untuned(TASK))
-
-
-def test_a_search_prefers_gains_that_come_to_rest_to_slightly_better_ones(monkeypatch, tmp_path):
-    calm, task = FlowLinearisingGains(), RIGS[1]
-    wild = calm.model_copy(update={"position_gain": 20.0 * calm.position_gain})
-    for better, taken in ((0.95, calm), (0.1, wild)):
-        monkeypatch.setenv(rig_gains.SEARCHES, str(tmp_path / str(better)))
-        costs = {calm: 1.0, wild: better}
-        monkeypatch.setattr(rig_gains, "_FOUND", {})
-        monkeypatch.setattr(rig_gains, "chosen_gains", lambda *_: calm)
-        monkeypatch.setattr(rig_gains, "tune", lambda *_, progress, **__: progress(Tuned(wild, None, 0)))
-        monkeypatch.setattr(rig_gains, "costs_of_sets", lambda _, sets, *__, costs=costs: [costs[one] for one in sets])
-        assert searched_gains("flow_linearising", task) == taken
 
 
 def test_an_untrained_policy_is_the_corrected_controller_on_every_rig(policy):

@@ -1,24 +1,15 @@
 """RecurrentPPO: its weights act as its model does, keep their memory in the state, and its training resumes."""
 
 import numpy as np
-import pytest
 import torch
 
-from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.trainers import trainer
 from hydro_agents.learning.training import make_env, make_features, make_model
 from hydro_env import TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.1)
-BASE = PID(PIDGains(), CONFIG)
 SMALL = {"axes": 4, "steps_per_rollout": 24, "minibatches": 2, "epochs": 1, "hidden_sizes": (6,), "lstm_cells": 5}
-
-
-def train(folder, resume=False, progress=None, **changes):
-    options = {"seed": 0, "folder": folder, "resume": resume, "base": BASE, "progress": progress}
-    return trainer("ppo").train(CONFIG, PPOSettings(**(SMALL | changes)), **options)
 
 
 def test_the_weights_act_as_the_model_does_over_starts_of_episodes():
@@ -40,18 +31,3 @@ def test_the_weights_act_as_the_model_does_over_starts_of_episodes():
         ends += started.sum()
     assert ends >= 8
     assert np.abs(command).max() > 0.01
-
-
-def test_an_interrupted_training_ends_as_an_uninterrupted_one_bit_for_bit(tmp_path):
-    whole = train(tmp_path / "whole", total_steps=384)
-
-    def stop(progress):
-        if progress.steps >= 288:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(tmp_path / "parts", progress=stop, total_steps=384)
-    parts = train(tmp_path / "parts", resume=True, total_steps=384)
-    np.testing.assert_equal(parts.lstm, whole.lstm)
-    np.testing.assert_array_equal(parts.layers[-1][0], whole.layers[-1][0])
-    assert parts.training["algorithm"] == "RecurrentPPO (sb3-contrib)"

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.progress import PROGRESS_FILE, read_progress
 from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.training import discount, make_env, make_features, train_policy
+from hydro_agents.learning.training import discount, train_policy
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.paces import pace
@@ -48,21 +47,3 @@ def test_the_discount_is_that_of_a_time_relative_to_the_rig():
     for task in (task_config(rig="aalborg_svsdp_2017"), task_config("period_2ms"), task_config("period_10ms")):
         periods = pace(task) / task.control_period
         assert discount(task, settings) ** periods == pytest.approx(0.97**1.54)
-
-
-def test_practice_changes_what_occurs_and_not_what_the_policy_sees():
-    def env(**practice):
-        features = make_features(CONFIG, SETTINGS, BASE)
-        return make_env(CONFIG, SETTINGS.model_copy(update={"practice": practice}), features, 0)
-
-    assert env(leakage={"healthy_share": 1.0}).env.config.leakage.healthy_share == 1.0
-    heavy = {"load.mass": {"log_factor": [0.6, 3.0]}}
-    ranges = env(randomisation=heavy).env.config.randomisation
-    assert ranges == CONFIG.randomisation | TaskConfig(randomisation=heavy).randomisation
-    for practice, message in (
-        ({"control_period": 0.01}, "must leave the control period"),
-        ({"references": {"preview_times": [0.01]}}, "must leave the control period and the names"),
-        ({"nonsense": 1}, "practice: task: nonsense = 1: unknown key"),
-    ):
-        with refused(message):
-            env(**practice)

@@ -85,22 +85,6 @@ def test_a_physical_failure_is_no_time_limit():
     assert all(info["episode"]["r"] < -env.env.config.reward.failure for info in ended)
 
 
-def test_an_axis_and_its_twin_restart_together():
-    config = TaskConfig(episode_duration=0.9, **SHORT_STROKE)
-    env = AxisVecEnv(config, 3, PolicyFeatures(CONFIG, BASE, 2.0), seed=1, paired=True)
-    env.reset()
-    for _ in range(200):
-        _, _, done, _ = env.step(np.ones((3, 1)))
-        steps = env.env.axes.column("step")
-        np.testing.assert_array_equal(steps[:3], steps[3:])
-        if done.any():
-            assert np.all(steps[:3][done] == 0)
-            _, reward, _, _ = env.step(np.zeros((3, 1)))
-            assert np.all(reward[done] == 0.0)  # the same plant, reference and noise, under the same PID
-            return
-    raise AssertionError("no axis failed")
-
-
 @pytest.mark.parametrize("kind", ["plain", "features", "paired"])
 def test_state_goes_back_and_into_another_adaptor(kind):
     def build(seed):

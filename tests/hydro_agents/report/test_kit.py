@@ -2,18 +2,15 @@
 
 import re
 
-import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
 from parsed_page import ODD_NAME, Parsed
-from refusal import refused
 
 from hydro_agents.report.kit import (
     BLUE,
     GREEN,
     Page,
-    as_text,
     draw,
     drawn,
     leak_axis,
@@ -93,18 +90,6 @@ def test_the_page_stands_alone_and_its_figures_follow_the_theme(html):
     assert not re.search(r"#[0-9a-f]{6}\b", "".join(re.findall(r"<svg.*?</svg>", html, flags=re.DOTALL)))
 
 
-def test_the_same_numbers_give_the_same_bytes_and_the_user_s_settings_stay(html, tmp_path):
-    matplotlib.rcParams["xtick.direction"] = "in"
-    try:
-        assert made().html(Origin("hydro study <x>", "today", "0.2")) == html
-        assert matplotlib.rcParams["xtick.direction"] == "in"
-    finally:
-        matplotlib.rcdefaults()
-    (tmp_path / "file").write_text("")
-    with refused("cannot be written"):
-        made().write(tmp_path / "file" / "page.html")
-
-
 @drawn
 def test_a_figure_shows_the_table_and_a_participant_keeps_its_colour():
     axes = panel()
@@ -119,9 +104,3 @@ def test_a_figure_shows_the_table_and_a_participant_keeps_its_colour():
     assert [text.get_text() for text in rows.get_yticklabels()] == ["b", "a"]
     np.testing.assert_array_equal(rows.containers[0].lines[0].get_xydata(), [[0.5, 0.0], [1.0, 1.0]])
     assert rows.containers[0].lines[0].get_color() == BLUE
-
-
-def test_a_frame_becomes_texts_for_the_console():
-    frame = pd.DataFrame({"mm": [0.5], "runs": [3]}, index=["PID"])
-    table = as_text(frame, "Errors")
-    assert (table.header, table.rows) == (("", "mm", "runs"), [("PID", "0.500", "3")])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.running.cases import Cases, ControllerError, run_cases
-from hydro_agents.running.tasks import own_reference
-from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ServoHydraulicEnv, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.3)
 LONG = TaskConfig(
@@ -162,26 +161,3 @@ def test_an_answer_that_is_no_command_is_named_with_its_case(answer, where):
         run_cases(CONFIG, Answers(answer), CASES)
     assert "\n" not in str(raised.value)
     assert "at 0.010 s" in str(raised.value)
-
-
-def test_leak_faults_and_force_stay_as_they_are_drawn():
-    changing = {"probability": 1.0, "schedule": "growth"}
-    config = TaskConfig(
-        leakage={"schedule": "growth"},
-        disturbance={"kind": "step"},
-        faults={"valve_null_shift": changing, "sensor_offset": changing},
-    )
-    task = own_reference(config, np.zeros(41))
-    env = ServoHydraulicVectorEnv(3, task, info=False, autoreset_mode="Disabled")
-    env.reset(seed=[1, 2, 3])
-    leak, fault, force = _now(env)
-    assert np.count_nonzero(fault) == 6, "both faults are there from the start"
-    for _ in range(30):
-        env.step(np.zeros((3, 1), dtype=np.float32))
-        np.testing.assert_equal(_now(env), (leak, fault, force))
-
-
-def _now(env):
-    axes = env.axes
-    force = [axes.external_force(axis) for axis in range(3)]
-    return axes.column("leak_flow").copy(), axes.column("fault").copy(), np.array(force)

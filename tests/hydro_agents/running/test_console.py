@@ -49,15 +49,6 @@ def test_off_a_terminal_lines_come_at_once_and_as_they_are(monkeypatch):
     ]
 
 
-def test_the_remaining_time_follows_from_the_rate_of_the_phase():
-    written, clock = io.StringIO(), Clock()
-    display = display_on(written, clock=clock)
-    for done in range(80, 85):  # a resumed phase counts what it does itself
-        display.update("work", done, 100)
-        clock.now += 15.0
-    assert written.getvalue().splitlines()[-1] == "work:  84 %, 84 of 100, 4 min 0 s left"
-
-
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), BrokenPipeError()])
 def test_work_goes_on_when_nobody_listens(error, monkeypatch):
     monkeypatch.setattr(stream := io.StringIO(), "write", mock.Mock(side_effect=error))

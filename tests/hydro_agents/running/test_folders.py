@@ -56,18 +56,6 @@ def test_a_file_of_the_user_is_never_replaced(tmp_path, name, options):
     assert (tmp_path / name).read_text() == "mine"
 
 
-def test_other_files_stay_and_one_command_does_not_replace_another(tmp_path):
-    (tmp_path / "notes.txt").write_text("mine")
-    write(tmp_path, "a.csv")
-    write(tmp_path, "c.csv", job="evaluate", writes=["c.csv"])
-    assert listed(tmp_path) == {"study": ["a.csv"], "evaluate": ["c.csv"]}
-    with refused("a.csv: was not written by hydro evaluate"):
-        write(tmp_path, "a.csv", job="evaluate", writes=["a.csv"], overwrite=True)
-    write(tmp_path, "c.csv", job="evaluate", writes=["c.csv"], overwrite=True)
-    assert (tmp_path / "a.csv").read_text() == "ours"
-    assert (tmp_path / "notes.txt").read_text() == "mine"
-
-
 def test_nothing_is_left_where_nothing_was_written_and_no_other_folder_is_reached(tmp_path):
     with pytest.raises(RuntimeError, match="early"), output_folder(tmp_path / "new" / "out", "study", FILES):
         raise RuntimeError("early")

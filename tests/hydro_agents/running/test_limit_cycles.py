@@ -11,7 +11,6 @@ from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.limit_cycles import (
     comes_to_rest,
     counted,
-    counted_at_rest,
     find_limit_cycle,
     rest_warning,
     standstill_metrics,
@@ -19,7 +18,6 @@ from hydro_agents.running.limit_cycles import (
 )
 from hydro_agents.running.seeds import EVALUATION, VALIDATION_SEEDS
 from hydro_env import REFERENCE_FAMILIES, TaskConfig
-from hydro_env.task.configuration import task_config
 
 CONFIG = TaskConfig(episode_duration=0.4)
 SIZE = {"plants": 3, "leak_levels": (4.0, 0.03, 1.0), "families": ("step",), "standstill_plants": 2}
@@ -105,12 +103,3 @@ def test_an_evaluation_finds_the_limit_cycles_of_a_high_gain_and_none_of_flow_li
     one_leak = SIZE | {"leak_levels": (0.3,)}
     alone = evaluate(CONFIG, {"PID": WILD}, settings=one_leak).table("limit_cycles")
     assert set(alone["leakage_flow_lpm"]) == {0.3}
-
-
-def test_ringing_counts_what_a_sensor_can_see_sustained_or_not():
-    calm = make_controller("pid", CONFIG)
-    for controller, least, most in ((calm, 0, 0), (WILD, 4, 4)):
-        counts = counted_at_rest(controller, CONFIG, EVALUATION, 4)
-        assert least <= counts["limit_cycles"] <= counts["ringing"] <= most
-    sensor = {"position": {"noise": 1.0, "resolution": 0.0}}  # m: nothing can be seen
-    assert counted_at_rest(WILD, task_config(CONFIG, sensors=sensor), EVALUATION, 4)["ringing"] == 0

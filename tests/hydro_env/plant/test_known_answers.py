@@ -152,23 +152,3 @@ def test_state_outside_the_valid_range_is_named():
     }
     with pytest.raises(InvalidStateError, match=r"gas_volume left its valid range at t = .* s: .* m³, allowed"):
         simulate(parameters, np.full(200, 10.0), 5e-3, start)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"voltage": [0.0, math.nan]}, r"voltage\[1\] = nan V: must be within -10 to 10 V"),
-        ({"voltage": [12.0]}, r"voltage\[0\] = 12 V"),
-        ({"voltage": [[0.0]]}, "one row"),
-        ({"sample_time": 0.0}, "sample_time = 0.0: must be positive"),
-        ({"initial_state": {"speed": 1.0}}, "unknown state 'speed'; known: position"),
-        ({"initial_state": {"position": math.nan}}, "position = nan: must be a finite number"),
-        ({"initial_state": {"position": 5.0, **dict.fromkeys(STATE_NAMES[1:], 0.0)}}, "position left its valid range"),
-        ({"method": "euler"}, "must be 'fast' or 'radau'"),
-    ],
-)
-def test_impossible_input_is_refused_with_one_line(arguments, message):
-    call = {"voltage": [0.0], "sample_time": 5e-3} | arguments
-    with pytest.raises(HydroError, match=message) as caught:
-        simulate(PlantParameters(), **call)
-    assert "\n" not in str(caught.value)

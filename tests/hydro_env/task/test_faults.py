@@ -109,13 +109,3 @@ def test_hysteresis_follows_half_its_width_behind():
     for level in (0.5, 0.42):  # back by less than the play
         envs.step(np.full((2, 1), level, np.float32))
         assert envs.axes.column("drive")[0] == pytest.approx(0.45)
-
-
-def test_schedules():
-    growth = {"tank_pressure": {"schedule": "growth", "start_range": [0.5, 0.5]}}
-    envs = ServoHydraulicVectorEnv(3, faults=growth, episode_duration=1.0)
-    envs.reset(seed=1, options={"faults": {"tank_pressure": 4e5}})
-    infos = [envs.step(np.zeros((3, 1), np.float32))[-1]["faults"] for _ in range(200)]
-    seen = [faults.get("tank_pressure", np.zeros(3))[0] for faults in infos]
-    assert seen[98] == 0.0
-    assert (seen[150], seen[-2]) == (pytest.approx(2e5, rel=0.02), pytest.approx(4e5, rel=0.02))

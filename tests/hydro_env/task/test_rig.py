@@ -121,18 +121,6 @@ def test_what_the_user_set_stays(small):
     assert task_config(None, rig=small, plant={"load": {"mass": 33.0}}).plant.load.mass == 33.0
 
 
-def test_a_task_names_its_rig(small, tmp_path):
-    task = tmp_path / "tasks" / "mine.yaml"
-    task.parent.mkdir()
-    task.write_text("plant: ../small.yaml\nreward: {effort: 0.5}\n")
-    config = TaskConfig.from_yaml(task)
-    assert config == task_config(task) == task_config(None, rig=small, reward={"effort": 0.5})
-    assert config == task_config({"plant": str(small), "reward": {"effort": 0.5}})
-    assert task_config(None, plant="symmetric_eha") == task_config(rig="symmetric_eha")
-    config.to_yaml(task)
-    assert TaskConfig.from_yaml(task) == config
-
-
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("task", TASKS)
 def test_every_task_can_begin_on_every_rig(task, rig):

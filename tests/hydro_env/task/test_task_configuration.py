@@ -91,14 +91,6 @@ def test_a_draw_may_multiply_a_parameter_that_is_drawn_itself():
     assert 150.0 <= fixed["friction.breakaway_force"].min() < 152.0
 
 
-def test_a_draw_may_be_something_else_with_a_probability():
-    stiffness = drawn(
-        {"load.spring_stiffness": {"uniform": [8e4, 9e4], "otherwise": 0.0, "otherwise_probability": 0.3}}
-    )["load.spring_stiffness"]
-    assert np.mean(stiffness == 0.0) == pytest.approx(0.3, abs=0.04)
-    assert stiffness[stiffness > 0].min() >= 8e4
-
-
 def test_initial_positions_fill_the_configured_range():
     for shares in ((-1.0, 1.0), (0.5, 0.75), (0.0, 0.0)):
         envs = ServoHydraulicVectorEnv(2000, randomisation={}, initial_position_range=shares)
