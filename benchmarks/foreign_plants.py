@@ -23,18 +23,16 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import expm
 
-from benchmarks import command_line
+from benchmarks import any_axis, command_line
+from benchmarks.any_axis import FIGURES, POLICY, SEARCHED, controllers_on
 from benchmarks.kept_rows import kept_rows
-from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.own_loop import OwnLoop
-from hydro_agents.controllers.registry import make_controller
 from hydro_agents.detection.monitor import load_head
-from hydro_agents.learning.loading import load_controller
-from hydro_agents.learning.rig_gains import gain_sets, searched_gains
 from hydro_agents.rigs.rig_file import answers_from, new_rig
+from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.text import markdown
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.files import write_text
+from hydro_env.files import read_yaml, write_text
 from hydro_env.task.configuration import task_config
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.sensors import CHANNELS
@@ -47,7 +45,8 @@ SECONDS, SETTLING, RECORDED, RESTING = 2.0, 0.5, 8.0, 10.0  # of a motion, befor
 SLOW = {"speed_share": 0.35, "acceleration_limit": 1.0, "step_range": [0.002, 0.005]}  # Exudyn's oil never cavitates
 SEED, GRAVITY = 11, 9.81
 UNTUNED, LEAK = "flow_linearising", "leak"
-CONTROLLERS, LEAKS = (UNTUNED, "searched", "pid", "policy", LEAK), (0.01, 1.0)  # l/min at 100 bar: healthy, worn
+CONTROLLERS = {UNTUNED: any_axis.UNTUNED, "searched": SEARCHED, "pid": FIGURES, "policy": POLICY, LEAK: ""}
+LEAKS = (0.01, 1.0)  # l/min at 100 bar: healthy, worn
 
 ROD, BASE = 0.5, 1.0  # m, mounts of the cylinder: along the boom, and straight below its pivot
 BOOM, BOOM_MASS, PAYLOAD = 1.6, 40.0, 120.0  # m, kg, and kg at its end
@@ -63,7 +62,7 @@ class Machine(NamedTuple):
     period: float  # s
     latency: float  # s
     dead_volume: float  # m³, each side
-    flow: float  # m³/s at 35 bar over one edge
+    flow: float  # l/min at 35 bar over one edge
     frequency: float  # Hz, of the spool
     supply: float  # Pa
     viscous: float  # N s/m
@@ -83,22 +82,7 @@ class Machine(NamedTuple):
         return math.pi / 4 * bore**2, math.pi / 4 * (bore**2 - rod**2)
 
 
-A1 = {
-    **{"bore": "40 mm", "rod": "28 mm", "stroke": "400 mm", "dead_volume": "30 cm3", "rated_flow": "10 l/min"},
-    **{"bandwidth": "80 Hz", "supply_pressure": "70 bar", "mass": "60 kg", "spring": "89 N/mm"},
-}
-A2 = {
-    **{"bore": "63 mm", "rod": "36 mm", "stroke": "400 mm", "rated_flow": "40 l/min", "bandwidth": "50 Hz"},
-    **{"supply_pressure": "160 bar", "mass": "1700 kg", "external_force": "4.9 kN"},
-}
-FLOW = 0.95 * LITRE_PER_MINUTE  # 5 % less than the nameplates tell
-SLIDE = Machine("slide", 0.005, 0.001, 30e-6, 10 * FLOW, 70.0, 69e5, 400.0, 200.0, 100.0, A1, step=1e-4)
-CRANE = Machine("rigid", 0.002, 0.0006, 110e-6, 40 * FLOW, 43.5, 158e5, 500.0, 160.0, 80.0, A2)  # low-friction seals
-TOLD = {"structure_frequency": "6 Hz"}
-PLANTS = {
-    **{"slide": SLIDE, "rigid_crane": CRANE, "flexible_crane": CRANE._replace(kind="flexible")},
-    "flexible_crane_told": CRANE._replace(kind="flexible", told=TOLD),
-}
+PLANTS = {name: Machine(**fields) for name, fields in read_yaml(Path(__file__).with_suffix(".yaml")).items()}
 
 
 class Axis:
@@ -121,7 +105,11 @@ class Axis:
             **{"markerNumbers": [base, rod], "nodeNumbers": [self.oil], "useChamberVolumeChange": True},
             **{"offsetLength": self.shortest, "strokeLength": m.stroke, "actuatorDamping": m.viscous},
             **{"chamberCrossSection0": area_a, "chamberCrossSection1": area_b, "oilBulkModulus": m.bulk_modulus},
-            **{"hoseVolume0": m.dead_volume, "hoseVolume1": m.dead_volume, "nominalFlow": m.flow / math.sqrt(35e5)},
+            **{
+                "hoseVolume0": m.dead_volume,
+                "hoseVolume1": m.dead_volume,
+                "nominalFlow": m.flow * LITRE_PER_MINUTE / math.sqrt(35e5),
+            },
             **{"systemPressure": m.supply, "tankPressure": m.tank},
         )
         self.conductance = leak * LITRE_PER_MINUTE / 100e5
@@ -243,13 +231,7 @@ def task_of(machine: Machine, folder: Path, name: str) -> TaskConfig:
 
 def controller_of(name: str, task: TaskConfig) -> Any:
     """A controller of the table."""
-    makers = {
-        UNTUNED: lambda: FlowLinearising(FlowLinearisingGains(), task),
-        "searched": lambda: make_controller(UNTUNED, task, searched_gains(UNTUNED, task).model_dump()),
-        "pid": lambda: make_controller("pid", task, gain_sets("pid", task)[0].model_dump()),
-        "policy": lambda: load_controller("ppo", task, name),
-    }
-    return makers[name]()
+    return controllers_on(task, str(pretrained_folder() / "policy_any_axis"), None)[CONTROLLERS[name]]()
 
 
 def driven(
@@ -347,8 +329,8 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
 
 def main() -> None:
     """Compute what is missing, and print the tables."""
-    chosen = {"plants": PLANTS, "controllers": dict.fromkeys(CONTROLLERS)}
-    given = command_line(__doc__, **chosen, output=Path("results/foreign_plants"), jobs=1)
+    output = Path("results/foreign_plants")
+    given = command_line(__doc__, plants=PLANTS, controllers=CONTROLLERS, output=output, jobs=1)
     cases = sorted(itertools.product(LEAKS, CONTROLLERS, PLANTS), key=lambda case: case[1] == LEAK)  # it takes longest
     asked = set(itertools.product(LEAKS, given.controllers, given.plants))
     wanted = [number for number, case in enumerate(cases) if case in asked]
