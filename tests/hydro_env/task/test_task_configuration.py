@@ -106,53 +106,35 @@ def test_initial_positions_fill_the_configured_range():
 NAN = float("nan")
 
 
-def ranges(**draws):
-    """The group ``randomisation``; a double underscore stands for the point of a path."""
-    return {"randomisation": {path.replace("__", "."): draw for path, draw in draws.items()}}
+def drawn_by(path, **draw):
+    return {"randomisation": {path: draw}}
 
 
-def mass(**draw):
-    return ranges(load__mass=draw)
-
-
-def leak(**settings):
-    return {"leakage": settings}
-
-
-def references(**settings):
-    return {"references": settings}
-
-
-def position(**settings):
-    return {"sensors": {"position": settings}}
-
-
-CIRCLE = {
-    "friction__coulomb_force": {"uniform": [1, 2], "times": "friction.breakaway_force"},
-    "friction__breakaway_force": {"uniform": [1, 2], "times": "friction.coulomb_force"},
-}
-SHARED = {"uniform": [50, 60], "otherwise": 55}
 RIG = "aalborg_svsdp_2017"
 WRONG = [
     ({"controll_period": 0.01}, "controll_period = 0.01: unknown key; did you mean control_period"),
     ({"plant": {"supply": {"precharge_pressure": 65e5}}}, "randomisation: .*precharge_pressure = 65 bar must be below"),
     # What is drawn.
-    (ranges(supply__model={"uniform": [0, 1]}), "'supply.model' is not a number of the plant"),
-    (mass(uniform=[70, 50]), r"bounds = \[70, 50\]: must be finite and rising"),
-    (mass(uniform=[1, 2], times="load.weight"), "times = 'load.weight' is not a parameter"),
-    (mass(**SHARED), "belong together"),
-    (ranges(supply__pressure={"uniform": ["50 bar", "2000 bar"]}), "pressure = 2000 bar is above its limit 1000 bar"),
-    (ranges(leakage__external_resistance={"factor": [0.5, 2.0]}), "external_resistance: the rig's own value is infin"),
-    (ranges(**CIRCLE), "'times' runs in a circle"),
+    (drawn_by("supply.model", uniform=[0, 1]), "'supply.model' is not a number of the plant"),
+    (drawn_by("load.mass", uniform=[70, 50]), r"bounds = \[70, 50\]: must be finite and rising"),
+    (drawn_by("load.mass", uniform=[1, 2], times="load.weight"), "times = 'load.weight' is not a parameter"),
+    (drawn_by("load.mass", uniform=[50, 60], otherwise=55), "belong together"),
+    (drawn_by("supply.pressure", uniform=["50 bar", "2000 bar"]), "pressure = 2000 bar is above its limit 1000 bar"),
+    (drawn_by("leakage.external_resistance", factor=[0.5, 2.0]), "external_resistance: the rig's own value is infin"),
     ({"initial_position_range": [-2.0, 1.0]}, r"initial_position_range = \[-2, 1\]: must rise within -1 to 1"),
     # Leakage, faults and forces.
-    (leak(healthy_range=[0.03, 0.003]), r"healthy_range = \[0.03, 0.003\]: must rise within 1e-06 to 20 l/min"),
+    (
+        {"leakage": {"healthy_range": [0.03, 0.003]}},
+        r"healthy_range = \[0.03, 0.003\]: must rise within 1e-06 to 20 l/min",
+    ),
     ({"faults": {"sensor_gain": {"sensors": ["force"]}}}, "unknown sensor 'force'; known: position"),
     # References, sensors, rewards.
-    (references(weights={"zigzag": 1.0}), "unknown family 'zigzag'; known: step, point_to_point"),
-    (references(weights={"user": 1.0}), "family 'user' needs 'user', an array of positions"),
-    (references(weights={"user": 1.0}, user=[0.0, 0.3]), r"references.user\[1\] = 0.3 m: must be a position within"),
-    (position(fitted=False), "position.fitted = false"),
+    ({"references": {"weights": {"zigzag": 1.0}}}, "unknown family 'zigzag'; known: step, point_to_point"),
+    (
+        {"references": {"weights": {"user": 1.0}, "user": [0.0, 0.3]}},
+        r"references.user\[1\] = 0.3 m: must be a position within",
+    ),
+    ({"sensors": {"position": {"fitted": False}}}, "position.fitted = false"),
     # Time.
     ({"command_latency": 26e-3}, "command_latency = 0.026 s must not exceed 5 times control_period = 0.005 s"),
     ({"control_period": 20e-3, "episode_duration": 0.015}, "episode_duration must be at least one control_period"),
@@ -182,7 +164,11 @@ def test_every_number_of_the_task_has_bounds():
                 free.add(name)
     assert len(groups) > 15
     assert not free
-    for changes in ({"reward": {"effort": NAN}}, {"initial_position_range": [NAN, 1.0]}, mass(uniform=[0.5, 1e300])):
+    for changes in (
+        {"reward": {"effort": NAN}},
+        {"initial_position_range": [NAN, 1.0]},
+        drawn_by("load.mass", uniform=[0.5, 1e300]),
+    ):
         with refused("effort|initial_position_range|load.mass"):
             task_config(None, **changes)
 
