@@ -29,12 +29,6 @@ def test_ranges_of_seeds_are_disjoint_and_lie_within_training_validation_or_test
     assert VALIDATION_SEEDS.stop <= TEST_SEEDS.start
 
 
-def test_each_range_has_a_purpose_of_its_own_and_a_user():
-    assert len({row.purpose for row in LEDGER.values()}) == len(LEDGER)
-    text = "".join(file.read_text(encoding="utf-8") for file in SOURCES)
-    assert [name for name in LEDGER if name not in text] == []
-
-
 def test_a_range_gives_no_more_seeds_than_it_holds():
     seeds = SeedRange(100, 10, "a test")
     assert list(seeds.take(3, 7)) == [107, 108, 109]

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.learning.loading import shipped
 from hydro_agents.running.seeds import RIGS, SeedRange
 from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import closed_port_natural_frequency, full_pressure_forces, speed_limits
@@ -135,27 +133,6 @@ def test_impossible_laws_are_refused(law, message):
     with refused(message.replace("[", r"\[")) as error:
         ServoHydraulicEnv(rig="drawn", law=law)
     assert "\n" not in str(error.value)
-
-
-def test_what_needs_one_rig_says_so(tmp_path):
-    task = task_config(rig="drawn", law={"count": 2})
-    with refused("law: a controller is made for one rig"):
-        FlowLinearising(FlowLinearisingGains(), task)
-    with refused("law: a controller is made for one rig"):
-        shipped("ppo", task)
-    with refused("control_period: the law draws it with each rig"):
-        task_config(rig="drawn", control_period=0.002)
-    with refused("one rig, and law draws others"):
-        task_config(rig="kovari_2015", law={"count": 2})
-    with refused("pressure_a, pressure_b: a task that draws its rigs needs both"):
-        task_config(rig="drawn", sensors={"pressure_b": {"fitted": False}})
-    with refused("rig = 2: must be within 0 to 1"):
-        ServoHydraulicEnv(task).reset(options={"rig": 2})
-    with refused("max_episode_steps"):
-        ServoHydraulicVectorEnv(2, task, max_episode_steps=10)
-    (tmp_path / "law.yaml").write_text("law: {count: 1}\nload: {mass: 3}\n")
-    with refused("a law is a mapping, and stands alone"):
-        task_config(rig=tmp_path / "law.yaml")
 
 
 def test_a_rig_outside_the_law_is_told_with_the_distance():

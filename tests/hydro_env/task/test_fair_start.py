@@ -53,20 +53,6 @@ def test_a_drawn_latency_delays_the_command_as_a_configured_one_does():
     np.testing.assert_array_equal(begun()[0].axes.column("latency"), 1e-3)
 
 
-def test_a_steady_force_is_a_share_of_what_the_supply_gives_against_it():
-    envs, _ = begun(disturbance={"steady_share": (0.4, 0.4)}, randomisation={})
-    base = envs.axes.column("force_base")
-    plant = envs.axes.parameters(0)
-    bore, rod = plant.cylinder.bore_diameter, plant.cylinder.rod_diameter
-    full, ring = np.pi / 4 * bore**2, np.pi / 4 * (bore**2 - rod**2)
-    supply = np.unique(np.round(np.abs(base), 6))
-    assert len(supply) == 2  # one amount outwards, another inwards
-    relief = plant.supply.pressure  # where the supply rests
-    expected = sorted(0.4 * (a * relief - b * plant.supply.tank_pressure) for a, b in ((full, ring), (ring, full)))
-    np.testing.assert_allclose(supply, expected, rtol=0.06)  # it rests slightly beside the set pressure
-    assert 0.4 < (base > 0).mean() < 0.6
-
-
 def test_the_reward_may_leave_out_the_bias_and_weigh_families():
     factors = {"step": 5.0, "sine": 0.5}
     plain, _ = begun()

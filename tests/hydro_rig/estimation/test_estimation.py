@@ -150,20 +150,3 @@ def test_wrong_input_is_one_line(change, message):
     with refused(message) as caught:
         estimate(arguments.pop("signals"), CONFIG, **arguments)
     assert "\n" not in str(caught.value)
-
-
-def test_faults_of_the_task_widen_its_priors():
-    faults = {
-        "valve_null_shift": {"probability": 0.5, "range": (0.01, 0.01)},
-        "valve_underlap": {"probability": 1.0, "range": (0.02, 0.04)},
-        "sensor_offset": {"probability": 1.0, "range": (0.02, 0.02), "sensors": ("position",)},
-    }
-    config = TaskConfig(faults=faults)
-    assert "valve.null_shift" in default_unknowns(config)
-    assert "valve.null_shift" not in default_unknowns(CONFIG)
-    shift = prior_of(config, "valve.null_shift")
-    assert (shift.mean, shift.deviation) == pytest.approx((0.0, np.hypot(0.01, 0.01 * 0.5**0.5)))
-    underlap, healthy = prior_of(config, "valve.underlap"), prior_of(CONFIG, "valve.underlap")
-    assert underlap.mean == pytest.approx(0.03 + healthy.mean, rel=0.1)
-    assert prior_of(config, "position_bias").deviation == pytest.approx(0.02 * 0.4, rel=0.01)
-    assert prior_of(config, "pressure_a_bias") == prior_of(CONFIG, "pressure_a_bias")

@@ -18,9 +18,8 @@ from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.estimator import EstimatorDetector, wear_priors
-from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.search import EstimationSettings
-from hydro_rig.estimation.unknowns import LEAKAGE, course_of, priors_of
+from hydro_rig.estimation.unknowns import LEAKAGE
 from hydro_rig.recordings.columns import ColumnMap
 
 CONFIG = TaskConfig(episode_duration=2.5)
@@ -87,26 +86,6 @@ def test_a_supply_that_moves_is_found_without_its_record():
     assert found.answers.all()
     np.testing.assert_allclose(found.flow_lpm, 0.3, atol=0.03)
     assert (found.low_lpm > 0.2).all()
-
-
-def test_the_course_of_a_supply_is_the_sum_of_its_steps():
-    steady = task_config(CONFIG, plant={"supply": {"model": "constant"}})
-    commands = np.full((1, 101), 0.05)
-    course = course_of(100 * CONFIG.control_period)
-    assert course == ("supply.course_1", "supply.course_2")
-    priors = priors_of(steady)
-    moving = Model(steady, priors_of(steady, (*priors, *course)), commands)
-    scaled = np.zeros((1, len(moving.names)))
-    scaled[0, -2:] = 1.0
-    step = moving.values(scaled)[0, -1]
-    setting = moving.values(scaled)[0, moving.names.index("supply.pressure")]
-    time = CONFIG.control_period * np.arange(101)
-    pressure = setting + step * (np.clip(time / 0.25, 0.0, 1.0) + np.clip(time / 0.25 - 1.0, 0.0, 1.0))
-    boundary = np.stack([pressure[None], np.full((1, 101), np.nan)], axis=1)
-    known = Model(steady, priors, commands, boundary=boundary)
-    read, expected = moving.readings(scaled), known.readings(scaled[:, :-2])
-    # The recorded pressure is the mean over a period, the course that at its end.
-    np.testing.assert_allclose(read, expected, rtol=0.02, atol=2.0)
 
 
 def test_a_real_ram_with_a_pump_gets_its_verdict_from_the_flow():
