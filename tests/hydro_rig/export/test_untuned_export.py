@@ -3,14 +3,20 @@
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
+from exported_code import InC, library, sources_in
 
-from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.loading import shipped
-from hydro_env import TaskConfig
+from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
+from hydro_rig.export.controller import controller_graph
 
 TIMING = ("--period", "2ms", "--latency", "0.6ms")
+SEED = VALIDATION_SEEDS.start + 710_500
+TAKE_OVER = 250  # control periods; the axis is in motion then
 RAMP = 0.05  # m/s
+BUMP = 0.15  # V
 
 
 @pytest.fixture(scope="module")
@@ -32,13 +38,41 @@ def folder(other_rig):
     return out
 
 
+@pytest.fixture(scope="module")
+def in_c(folder, task, tmp_path_factory):
+    """A function: a new instance of the exported C code."""
+    graph = controller_graph(FlowLinearising(FlowLinearisingGains(), task), task)
+    loaded = library(tmp_path_factory.mktemp("untuned"), sources_in(folder))
+
+    def new():
+        run = InC(loaded, graph)
+        run.graph = graph
+        return run
+
+    return new
+
+
 def test_it_is_made_for_this_rig_and_timing_with_the_gains_for_any(folder, task):
-    page = " ".join((folder / "README.md").read_text(encoding="utf-8").split())
-    assert "every 2.0 ms" in page
-    assert "from 0.6 ms after it" in page
-    assert "Origin: gains for any rig, which nobody tuned for this one." in page
     assert shipped("flow_linearising", task).gains == FlowLinearisingGains()
     assert shipped("flow_linearising", TaskConfig()).gains != FlowLinearisingGains()  # the paper's rig has its own
+
+
+def test_in_c_it_takes_over_an_axis_in_motion(task, in_c):
+    driving, run = FlowLinearising(FlowLinearisingGains(), task), in_c()
+    env = ServoHydraulicVectorEnv(1, task)
+    observation, _ = env.reset(seed=[SEED + 1])
+    memory, commands, errors = None, [], []
+    for step in range(TAKE_OVER + 200):
+        action, memory = driving.predict(observation, memory)
+        row = {name: float(value[0]) for name, value in run.graph.signals.of_axes(env.axes).items()}
+        row |= {f"valid_{signal.name}": True for signal in run.graph.signals.signals if signal.sensor}
+        row |= {"enable": True, "follow": True, "manual": 0 < step < TAKE_OVER, "control": step > 0}
+        commands.append(run({**row, "manual_command": 10.0 * float(action[0, 0])})["command"])
+        observation, *_ = env.step(np.array([[commands[-1] / 10.0]], dtype=np.float32))
+        errors.append(driving.layout.si(observation, "tracking_error")[0])
+    assert driving.layout.si(observation, "velocity_estimate")[0] == pytest.approx(RAMP, rel=0.2)
+    assert np.abs(np.diff(commands[TAKE_OVER - 2 : TAKE_OVER + 5])).max() < BUMP
+    assert np.abs(errors[TAKE_OVER:]).max() < 3e-4
 
 
 @pytest.mark.parametrize(
