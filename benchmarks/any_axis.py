@@ -2,7 +2,6 @@
 
     python benchmarks/any_axis.py [--weights WEIGHTS] [--rigs 100] [--first 800] [--tuned FOLDER] [--split test]
                                   [--seconds 2] [--output FILE] [--controller NAME] [--structure]
-    python benchmarks/any_axis.py --rig kovari_2015 my.yaml
 
 ``--controller`` judges it and the untuned one alone, ``--structure`` rigs with loads that bend, waves, sharp edges.
 Errors are those in the sensor's frame, every family of references weighing the same; a failed axis is wrong by its
@@ -157,7 +156,6 @@ def main() -> None:
         weights=str(pretrained_folder() / "policy_any_axis"),
         rigs=100,
         split=("test", "validation", "training"),
-        rig=[],
         first=0,
         structure=False,
         tuned=Path,
@@ -168,7 +166,7 @@ def main() -> None:
     )
     structure = STRUCTURE if given.structure else {}
     law = {"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": [], "structure": structure}
-    tasks = [task_config(rig=rig) for rig in given.rig] if given.rig else rig_tasks(task_config(law=law))
+    tasks = rig_tasks(task_config(law=law))
     rows = kept_rows(
         given.output,
         "rig",

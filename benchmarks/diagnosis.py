@@ -1,6 +1,6 @@
 """What `hydro diagnose` answers on recordings of simulated axes: verdicts, size errors, intervals.
 
-Run: python benchmarks/diagnosis.py [--only faults sensors] [--share 1.0]
+Run: python benchmarks/diagnosis.py [--share 1.0]
 
 ``--share`` of the recordings, for a quick look. Each lasts 4 s (two windows), has a test seed of its own, and takes the
 whole way: file, checks, both detectors, verdict. The shipped PID moves the axis; plant and family of
@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from benchmarks import command_line
 from hydro_agents.detection.head import LeakageHead
@@ -31,8 +30,6 @@ from hydro_rig.recordings.simulated import record_axis
 TASK = TaskConfig(episode_duration=4.0)
 LUGRE = TASK.model_copy(update={"plant": TASK.plant.replace(friction={"model": "lugre"})})
 
-Change = Callable[[pd.DataFrame], pd.DataFrame]
-
 
 class Axis(NamedTuple):
     """One row of a table: axes that are alike."""
@@ -42,42 +39,23 @@ class Axis(NamedTuple):
     leak: float = 0.01  # l/min at 100 bar
     faults: Mapping[str, float] = {}
     task: TaskConfig = TASK
-    change: Change | None = None  # what is done to the file
 
 
-def without(*signals: str) -> Change:
-    """Columns that are missing."""
-    return lambda table: table[[name for name in table if name.split()[0] not in signals]]
-
-
-TABLES: dict[str, tuple[Axis, ...]] = {
-    "faults": (
-        Axis("healthy, 0.01 l/min", 30),
-        *(Axis(f"leak of {leak:g} l/min", 12, leak) for leak in (0.05, 0.1, 0.3, 1.0)),
-        Axis("null shift 1 %", 8, faults={"valve_null_shift": 0.01}),
-        Axis("underlap + 3 %", 8, faults={"valve_underlap": 0.03}),
-        Axis("rated flow × 0.7", 8, faults={"valve_flow": -0.3}),
-        Axis("return line + 5 bar", 8, faults={"tank_pressure": 5e5}),
-        Axis("external leak 1.5 l/min", 8, faults={"external_leak": 1.5}),
-        Axis("offset of pressure sensor a, 3 %", 8, faults={"pressure_a_offset": 0.03}),
-        Axis("offset of the spool sensor, −1 %", 8, faults={"spool_position_offset": -0.01}),
-        Axis("hysteresis 2 %", 8, faults={"valve_hysteresis": 0.02}),
-        Axis("pressure sensor b frozen", 8, faults={"pressure_b_freeze": 1.0}),
-        Axis("gain of pressure sensor a, 1.05", 8, faults={"pressure_a_gain": 0.05}),
-        Axis("LuGre friction, leak of 1 l/min", 6, 1.0, task=LUGRE),
-    ),
-    "sensors": tuple(
-        Axis(f"{name}, {leak:g} l/min", 8, leak, change=without(*absent))
-        for name, absent in (
-            ("no spool position", ("spool_position",)),
-            ("no position", ("position",)),
-            ("no pressures", ("pressure_a", "pressure_b")),
-            ("pressure b alone", ("pressure_a", "position", "spool_position")),
-            ("position alone", ("pressure_a", "pressure_b", "spool_position")),
-        )
-        for leak in (0.01, 0.1, 0.5)
-    ),
-}
+AXES = (
+    Axis("healthy, 0.01 l/min", 30),
+    *(Axis(f"leak of {leak:g} l/min", 12, leak) for leak in (0.05, 0.1, 0.3, 1.0)),
+    Axis("null shift 1 %", 8, faults={"valve_null_shift": 0.01}),
+    Axis("underlap + 3 %", 8, faults={"valve_underlap": 0.03}),
+    Axis("rated flow × 0.7", 8, faults={"valve_flow": -0.3}),
+    Axis("return line + 5 bar", 8, faults={"tank_pressure": 5e5}),
+    Axis("external leak 1.5 l/min", 8, faults={"external_leak": 1.5}),
+    Axis("offset of pressure sensor a, 3 %", 8, faults={"pressure_a_offset": 0.03}),
+    Axis("offset of the spool sensor, −1 %", 8, faults={"spool_position_offset": -0.01}),
+    Axis("hysteresis 2 %", 8, faults={"valve_hysteresis": 0.02}),
+    Axis("pressure sensor b frozen", 8, faults={"pressure_b_freeze": 1.0}),
+    Axis("gain of pressure sensor a, 1.05", 8, faults={"pressure_a_gain": 0.05}),
+    Axis("LuGre friction, leak of 1 l/min", 6, 1.0, task=LUGRE),
+)
 
 
 def diagnosed(axis: Axis, seeds: range, head: LeakageHead, folder: Path) -> list[Verdict]:
@@ -86,8 +64,6 @@ def diagnosed(axis: Axis, seeds: range, head: LeakageHead, folder: Path) -> list
     found = []
     for seed in seeds:
         record_axis(file, axis.task, controller, seed, axis.leak, faults=axis.faults)
-        if axis.change is not None:
-            axis.change(pd.read_csv(file)).to_csv(file, index=False)
         found.append(diagnose(file, TASK, head).verdict)
     return found
 
@@ -106,21 +82,17 @@ def row(axis: Axis, found: list[Verdict]) -> str:
 
 
 def main() -> None:
-    """Print the tables that are asked for."""
-    given = command_line(__doc__, only=TABLES, share=1.0)
+    """Print the table."""
+    given = command_line(__doc__, share=1.0)
     head, skip = LeakageHead.load(pretrained_folder() / "leakage_head"), 0
+    print(
+        "| axis | recordings | verdicts | size error, median | interval holds |\n|---|---:|---|---:|---:|", flush=True
+    )
     with tempfile.TemporaryDirectory() as folder:
-        for name, axes in TABLES.items():
-            if name in given.only:
-                print(f"\n{name}\n\n| axis | recordings | verdicts | size error, median | interval holds |", flush=True)
-                print("|---|---:|---|---:|---:|", flush=True)
-            for axis in axes:
-                if name in given.only:
-                    count = max(round(given.share * axis.recordings), 1)
-                    seeds = DIAGNOSIS.take(count, skip)
-                    found = diagnosed(axis, seeds, head, Path(folder))
-                    print(row(axis, found), flush=True)
-                skip += axis.recordings
+        for axis in AXES:
+            seeds = DIAGNOSIS.take(max(round(given.share * axis.recordings), 1), skip)
+            print(row(axis, diagnosed(axis, seeds, head, Path(folder))), flush=True)
+            skip += axis.recordings
 
 
 if __name__ == "__main__":
