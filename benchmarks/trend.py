@@ -28,10 +28,9 @@ from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import TREND_CALIBRATION, TRENDS
 from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
-from hydro_rig.recordings.liveliest import liveliest
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.watching.oil import GRADES, Oil
-from hydro_rig.watching.reading import WINDOW, row_of
+from hydro_rig.watching.reading import row_of
 from hydro_rig.watching.table import TEXTS, stamp
 from hydro_rig.watching.trend import DAY, State, trend_of
 
@@ -90,7 +89,7 @@ def table_of(controller: Controller, seed: int, axis: Axis, windows: int) -> pd.
         time = (kept - kept[0]) * task.control_period
         begun = START + DAY * day
         recording = Recording("day", time, part[:, kept], {}, [], warm, begun)
-        row = row_of(liveliest(recording, WINDOW, known, windows), known, oil)
+        row = row_of(recording, known, oil, windows)
         mark = "x" if day in axis.repairs else ""
         rows.append({"time": stamp(begun), "until": stamp(begun), **row, "repaired": mark})
     return pd.DataFrame(rows)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_agents.detection.detector import Windows
-from hydro_env import ConfigurationError
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.recordings.findings import Finding
@@ -29,6 +29,9 @@ FEWEST_OF_EACH = 3  # windows of each recording, if there are many: one out, one
 LONGEST_HELD_BACK = 10.0  # s, of one recording
 LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
 SAME_AMPLITUDE = 1.1  # largest ratio of the largest commands of recordings with the same amplitude
+
+SECTION = 300.0  # s of a long recording, each of which gives a window
+UNUSABLE = -1e3  # added to the score of a window that lacks commands, or has the valve at its end for most of the time
 
 MOST_AT_FULL_COMMAND = 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""
@@ -210,6 +213,18 @@ def lively(windows: Windows, most: int) -> Indices:
     """Numbers of the windows with the longest way of the command, which show best whether the model holds."""
     way = np.nansum(np.abs(np.diff(windows.signals[:, COMMAND], axis=1)), axis=1)
     return np.sort(np.argsort(-way, kind="stable")[:most])
+
+
+def liveliest(windows: Windows, config: TaskConfig, most: int) -> Windows:
+    """Of each section of a long recording the window in which the signals vary most, and of these the best ``most``."""
+    pressure, command = config.plant.supply.pressure, windows.signals[:, COMMAND]
+    sizes = np.array([config.plant.cylinder.stroke, pressure, pressure, 1.0, 1.0])
+    way = np.nansum(np.abs(np.diff(command, axis=1)), axis=1) / (windows.end - windows.begin)
+    score = np.minimum(_ranges(windows.signals) / sizes, 1.0).sum(axis=1) + np.minimum(way, 1.0)
+    full = (np.abs(command) >= FULL_COMMAND).mean(axis=1) > 0.5
+    order = np.argsort(-(score + UNUSABLE * (full | ~windows.commanded)), kind="stable")
+    _, first = np.unique(windows.begin[order] // SECTION, return_index=True)
+    return windows.part(np.sort(order[np.sort(first)[:most]]))
 
 
 def _with_motion(windows: Windows) -> Mask:

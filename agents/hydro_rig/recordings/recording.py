@@ -15,8 +15,8 @@ from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, numbers_of, read_columns, together
 from hydro_rig.recordings.findings import Finding, Weight, missing_weight, severe_if
-from hydro_rig.recordings.row_distance import Spacing, spacing_of
-from hydro_rig.recordings.stamps import DAY, EXCEL_BEGIN, are_excel_days, time_stamps
+from hydro_rig.recordings.row_distance import equidistant
+from hydro_rig.recordings.stamps import EXCEL_BEGIN, time_stamps
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
 FEWEST_ROWS = 3
@@ -34,7 +34,6 @@ class Recording(NamedTuple):
     auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (n,), SI
     begin: float = 0.0  # s, stamp of the first row in the file; of dates and times since 1970
     differential: bool = False  # pressure a is pressure a minus b
-    spacing: Spacing | None = None  # of rows that the map calls equidistant; ``time`` is then their middle guess
 
     def part(self, first: int, end: int) -> Recording:
         """A copy of the rows from ``first`` to before ``end``."""
@@ -75,7 +74,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     source, file = str(path), read_columns(path)
     columns = columns or own_map(file.headings, source)
     values, units, begin, findings = _values_of(file, columns, source)
-    stamps, spacing = _time_of(values.pop("time"), columns.time.equidistant, source)
+    stamps = _time_of(values.pop("time"), columns.time.equidistant, source, findings)
     values["command"] = pd.Series(values["command"]).shift(columns.command.rows_early).to_numpy()
     differential = LOAD_PRESSURE in values
     if differential:
@@ -92,7 +91,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     signals = np.array([values.get(signal, absent)[known] for signal in MEASURED])
     auxiliary = {name: values[name][known] for name in AUXILIARY if name in values}
     begin += float(time[0])
-    return Recording(source, time - time[0], signals, units, findings, auxiliary, begin, differential, spacing)
+    return Recording(source, time - time[0], signals, units, findings, auxiliary, begin, differential)
 
 
 def _values_of(
@@ -121,34 +120,33 @@ def _values_of(
             continue
         numbers = _numbers(own, signal, file.first_line, findings)
         units[signal], size = unit_of(column, signal, heading, source)
-        days = signal == "time" and (units[signal] == "d" or column.unit is None) and are_excel_days(numbers)
-        if days:
-            units[signal], size, begin = "d", DAY, EXCEL_BEGIN
-            findings.append(Finding(signal, "is read as days, as Excel counts them", Weight.NOTE))
+        if units[signal] == "d":
+            begin = EXCEL_BEGIN
         found = size * (column.gain * numbers + column.offset)
         values[signal] = np.where(np.isfinite(found), found, np.nan)
     return values, units, begin, findings
 
 
-def _time_of(time: Floats, equidistant: bool | float, source: str) -> tuple[Floats, Spacing | None]:
-    """The stamps (n,), s, of rows that are equidistant or not; and what is known of the distance of such rows."""
+def _time_of(time: Floats, given: bool | float, source: str, findings: list[Finding]) -> Floats:
+    """The stamps (n,), s; those of rows that the map calls equidistant are steady."""
     known = np.isfinite(time)
-    if known.sum() < FEWEST_ROWS and isinstance(equidistant, bool):
+    if known.sum() < FEWEST_ROWS and isinstance(given, bool):
         raise ConfigurationError(
             f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp; allowed are numbers, 2026-03-01T08:00:00.005, "
             "01.03.2026 08:00:00,005, 01-Mar-2026 08:00:00.005 and 3/1/2026 8:00:00.005 AM; rows at equal distances "
             "need none, with 'equidistant: 5 ms' for the time in the map"
         )
-    if equidistant is False:
-        return time, None
-    spacing = spacing_of(time) if equidistant is True else (equidistant, equidistant)
-    if spacing is None:
+    if given is False:
+        return time
+    distance = equidistant(time) if given is True else given
+    if distance is None:
         raise ConfigurationError(
             f"{source}: time: the stamps do not tell the distance of the rows; give it in the map, as in "
             "'equidistant: 5 ms'"
         )
-    first = time[known][0] if known.any() else 0.0
-    return np.asarray(first + 0.5 * sum(spacing) * np.arange(len(time)), np.float64), spacing
+    what = f"is taken as equidistant, one row every {1e3 * distance:.4g} ms, as the map says"
+    findings.append(Finding("time", what, Weight.NOTE))
+    return np.asarray((time[known][0] if known.any() else 0.0) + distance * np.arange(len(time)), np.float64)
 
 
 def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:

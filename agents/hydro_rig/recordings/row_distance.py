@@ -13,51 +13,22 @@ LARGEST_DEVIATION = 0.02
 
 ROWS_TOGETHER = 20
 SHORTEST_DISTANCE = 1e-7  # s between two rows; no rig logs faster, so the unit of the stamps is wrong
-PARTS = 8  # of a recording, over each of which the stamps are compared: one jump of the clock touches few of them
-COMMON = (0.2, 0.8)  # quantiles of these comparisons that count
-
-Spacing = tuple[float, float]  # least and largest distance of rows that lie at equal distances, s
+COMMON = (0.2, 0.5, 0.8)  # quantiles of the distances that count
 
 
-def spacing_of(stamps: Floats) -> Spacing | None:
-    """The distances of equidistant rows that their stamps (n,) allow, s; NaN is a missing stamp.
+def equidistant(stamps: Floats) -> float | None:
+    """Distance of rows that lie at equal distances, s, from their stamps (n,); NaN is a missing stamp.
 
-    Stamps may be rounded, come late, jump, or run backward. A rounded stamp tells its time in the row in which it is
-    new, and there to one row. ``None``: they tell nothing.
+    Stamps may be rounded, or come late. ``None``: they do not tell the distance, or rows were lost.
     """
     row = np.flatnonzero(np.isfinite(stamps))
-    known = stamps[row]
-    steps = np.diff(known)
-    new = np.flatnonzero(steps) + 1
-    if len(new) < 2:
+    lag = len(row) // 2
+    low, distance, high = np.quantile((stamps[row[lag:]] - stamps[row[:-lag]]) / (row[lag:] - row[:-lag]), COMMON)
+    usual = float(np.median(np.diff(stamps[row])))  # 0 between rounded stamps
+    lost = usual > 0.0 and abs(usual / distance - 1.0) > LARGEST_DEVIATION
+    if distance < SHORTEST_DISTANCE or lost or high - low > LARGEST_DEVIATION * distance:
         return None
-    rounded = len(new) < len(steps)
-    lag = max(len(new) // PARTS, 1)
-    span, rows = (values[new[lag:]] - values[new[:-lag]] for values in (known, row))
-    low = float(np.quantile(span / (rows + rounded), COMMON[0]))
-    high = float(np.quantile(span / np.maximum(rows - rounded, 1), COMMON[1]))
-    if not rounded:  # lost rows make the way of many rows longer, but not their usual step
-        usual = float(np.median(steps / np.diff(row)))
-        low, high = min(low, usual), max(high, usual)
-    return (low, high) if low > SHORTEST_DISTANCE else None
-
-
-def equidistant(spacing: Spacing, period: float) -> tuple[float, Finding]:
-    """The distance of equidistant rows in s, and a finding about it; severe where the stamps leave it open.
-
-    It is the only whole fraction of the control period that ``spacing`` allows, or what a narrow one says by itself.
-    """
-    low, high = spacing
-    fractions = np.arange(np.ceil(period / high * (1.0 - 1e-9)), np.floor(period / low * (1.0 + 1e-9)) + 1.0)
-    distance = 0.5 * (low + high)
-    if len(fractions) == 1 and fractions[0] >= 1.0:
-        distance = period / float(fractions[0])
-    elif len(fractions) > 1 or high > (1.0 + 2.0 * LARGEST_DEVIATION) * low:
-        what = f"has stamps that leave {1e3 * low:.3g} to {1e3 * high:.3g} ms for the distance of equidistant rows; "
-        what += f"give it in the map, as in 'equidistant: {1e3 * period:g} ms'"
-        return distance, Finding("time", what, Weight.SEVERE)
-    what = f"is taken as equidistant, one row every {1e3 * distance:.4g} ms, as the map says"
-    return distance, Finding("time", what, Weight.NOTE)
+    return float(distance)
 
 
 def row_distance(time: Floats, period: float) -> float:

@@ -21,7 +21,6 @@ from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, 
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.row_distance import (
     SHORTEST_DISTANCE,
-    equidistant,
     other_sampling,
     row_distance,
     whole_fraction,
@@ -91,10 +90,6 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
     time, rows = recording.time, np.vstack([recording.signals, *recording.auxiliary.values()])
     period = config.control_period
     nothing = np.zeros(0, np.int64), time[:0], rows[:, :0], period, False
-    if recording.spacing is not None:
-        distance, finding = equidistant(recording.spacing, period)
-        findings.append(finding)
-        time = np.asarray(distance * np.arange(len(time)), np.float64)
     time, rows = _in_order(time, rows, findings)
     if _severe(findings):
         return nothing
@@ -231,31 +226,21 @@ def _spread(values: Floats, at: Indices, count: int) -> Floats:
 
 
 def likely_commands(signals: Floats, filled: Mask) -> Floats:
-    """The commands at ``filled`` (T,), from the known signals (5, T) in the three rows before and after.
+    """The commands at ``filled`` (T,), from the signals (5, T) in the three rows before and after.
 
-    Each is the linear combination that fits the sure commands best among those with the same rows known.
+    They are the linear combination that fits the sure commands best; missing signals are interpolated.
     """
     places, sure = np.arange(signals.shape[1]), np.isfinite(signals[COMMAND])
-    inputs, present = [], []
+    columns = [np.ones(len(places))]
     for values in signals:
         known = np.isfinite(values)
         if known.any():
             whole = np.interp(places, places[known], values[known])
             scale = float(whole.std()) or 1.0
-            for by in (-3, -2, -1, 1, 2, 3):
-                inputs.append(np.roll((whole - whole.mean()) / scale, by))
-                present.append(np.roll(known, by))
-    around, there = np.column_stack(inputs), np.column_stack(present)
-    patterns, pattern = np.unique(there[filled], axis=0, return_inverse=True)
-    commands = np.zeros(len(pattern))
-    for number, known in enumerate(patterns):
-        alike = sure & there[:, known].all(axis=1)
-        rows = alike if alike.sum() > 2 * known.sum() else sure
-        chosen = np.column_stack([np.ones(len(places)), around[:, known]])
-        weights, *_ = np.linalg.lstsq(chosen[rows], signals[COMMAND, rows], rcond=None)
-        at = pattern == number
-        commands[at] = chosen[filled][at] @ weights
-    return np.clip(commands, -1.0, 1.0)
+            columns += [np.roll((whole - whole.mean()) / scale, by) for by in (-3, -2, -1, 1, 2, 3)]
+    around = np.column_stack(columns)
+    weights, *_ = np.linalg.lstsq(around[sure], signals[COMMAND, sure], rcond=None)
+    return np.clip(around[filled] @ weights, -1.0, 1.0)
 
 
 def cut(samples: Sampled, length: int) -> Windows:

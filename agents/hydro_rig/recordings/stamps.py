@@ -1,4 +1,4 @@
-"""Time stamps: dates with times as people, loggers and historians write them, and the day numbers of Excel."""
+"""Time stamps: dates with times as people, loggers and historians write them."""
 
 from __future__ import annotations
 
@@ -22,10 +22,7 @@ FORMATS = (
 """Of dates with times; where two fit, the first counts: 03/04/2026 is the fourth of March."""
 
 TRIED = 100  # number of stamps, spread over the file, that show the format
-DAY = 86400.0  # s
-EXCEL_BEGIN = -25569.0 * DAY  # s since 1970, begin of the day numbers of Excel
-EXCEL_DAYS = (20_000.0, 80_000.0)  # the years 1954 to 2119
-SHORTEST = 1e-5  # s between two rows, and in days more than half a second: smaller steps of such numbers are in days
+EXCEL_BEGIN = -25569.0 * 86400.0  # s since 1970, begin of the day numbers of Excel
 _SECONDS = r"(:\d\d:\d\d)(?![.,:\d])"  # without parts of a second
 _DATE = re.compile(r"\d{1,4}[-./]\w{1,3}[-./]\d{2,4}")
 _CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d([.,]\d+)?( ?[AP]M)?", re.IGNORECASE)
@@ -48,13 +45,6 @@ def time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
     first = stamps.dropna().iloc[0]
     seconds: Floats = (stamps - first).dt.total_seconds().to_numpy(dtype=np.float64).copy()
     return seconds, float(first.timestamp())
-
-
-def are_excel_days(numbers: Floats) -> bool:
-    """Whether stamps (n,) without a unit are Excel's days: no rig takes rows so close together in seconds."""
-    known = numbers[np.isfinite(numbers)]
-    within = ((known > EXCEL_DAYS[0]) & (known < EXCEL_DAYS[1])).all()
-    return bool(within and len(known) > 1 and 0.0 < np.median(np.diff(known)) < SHORTEST)
 
 
 def with_whole_stamps(table: pd.DataFrame) -> pd.DataFrame:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,14 +15,14 @@ from hydro_env import TaskConfig
 from hydro_rig.diagnosis.diagnose import read_windows
 from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged
 from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, combined
-from hydro_rig.diagnosis.volume_balance import Blocks, leak_of_blocks
+from hydro_rig.diagnosis.volume_balance import leak_of_blocks
 from hydro_rig.estimation.progress import told_to
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import Weight
-from hydro_rig.recordings.liveliest import Lively, liveliest, sampled_windows
-from hydro_rig.recordings.quality import check_samples
-from hydro_rig.recordings.recording import read_recording
-from hydro_rig.recordings.sampling import Sampled, cut, on_grid
+from hydro_rig.recordings.parts import liveliest
+from hydro_rig.recordings.quality import check_recording
+from hydro_rig.recordings.recording import Recording, read_recording
+from hydro_rig.recordings.sampling import bridged, cut, on_grid
 from hydro_rig.watching.oil import Oil, referred
 
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
@@ -39,10 +38,9 @@ def row_of_file(path: Path, config: TaskConfig, columns: ColumnMap | None, oil: 
         ConfigurationError: the file cannot be read, or holds no rows.
     """
     rows = read_recording(path, columns)
-    live = liveliest(rows, WINDOW, config, MOST_WINDOWS)
     clock = 0.0 if FIRST_DATE <= rows.begin <= LAST_DATE else _began(path) - rows.begin
-    row = row_of(live, config, oil, list(flow_blocks(rows)))
-    return {"time": clock + live.first, "until": clock + live.last, **row}
+    last = rows.begin + float(rows.time[-1])
+    return {"time": clock + rows.begin, "until": clock + last, **row_of(rows, config, oil)}
 
 
 def _began(path: Path) -> float:
@@ -54,26 +52,19 @@ def _began(path: Path) -> float:
     return path.stat().st_mtime
 
 
-def row_of(live: Lively, config: TaskConfig, oil: Oil, blocks: Sequence[Blocks] = ()) -> dict[str, Any]:
-    """Verdict, leak at 40 °C and oil temperature from the best windows, and from the blocks of a measured flow."""
+def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_WINDOWS) -> dict[str, Any]:
+    """Verdict, leak at 40 °C and oil temperature of a recording, from its liveliest windows and a measured flow."""
     row: dict[str, Any] = {"verdict": Kind.UNKNOWN.value, "temperature": np.nan, **_sizes(Leak(np.nan, np.nan, np.nan))}
-    if not live.windows:
-        return row | {"reason": "the recording is shorter than one window"}
-    rows = [candidate.rows for candidate in live.windows]
-    samples = sampled_windows(live.windows, WINDOW, config)
-    config = on_grid(config, samples.period)
-    warm = np.concatenate([one.auxiliary.get("oil_temperature", np.full(1, np.nan)) for one in rows])
+    checked = check_recording(recording, config)
+    config = on_grid(config, checked.samples.period)
+    chosen = liveliest(cut(bridged(checked.samples)[0], round(WINDOW / config.control_period)), config, most)
+    warm = chosen.auxiliary_signal("oil_temperature")
     if np.isfinite(warm).any():
-        row["temperature"] = float(warm[np.isfinite(warm)].mean())
-    balance = leak_of_blocks(blocks)
+        row["temperature"] = float(np.nanmean(warm))
+    balance = leak_of_blocks(flow_blocks(recording))
     if balance is not None:
         at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, row["temperature"])
         balance = balance._replace(**at_40._asdict())
-
-    def choose(samples: Sampled) -> Windows:
-        windows = cut(samples, round(WINDOW / config.control_period))
-        commanded = np.isfinite(windows.signal("previous_command")).mean(axis=1)
-        return windows.part(commanded > 0.5)  # without the margins
 
     def read(windows: Windows) -> Read:
         if not len(windows):
@@ -85,8 +76,9 @@ def row_of(live: Lively, config: TaskConfig, oil: Oil, blocks: Sequence[Blocks] 
         sizes: dict[str, Any] = {"flow_lpm": at_40.value, "low_lpm": at_40.low, "high_lpm": at_40.high}
         return Read(measured._replace(**sizes), fitted=fitted)
 
-    checked = check_samples(samples, live.findings, config)
-    found = judged(checked, config, choose=choose, read=read, rows=rows, balance=balance, window=WINDOW)
+    found = judged(
+        checked, config, choose=lambda _: chosen, read=read, rows=[recording], balance=balance, window=WINDOW
+    )
     verdict = found.verdict
     if verdict.detector == BALANCE and verdict.leak is not None:
         row |= _sizes(verdict.leak)
@@ -94,7 +86,7 @@ def row_of(live: Lively, config: TaskConfig, oil: Oil, blocks: Sequence[Blocks] 
         row |= _sizes(combined(found.read.estimator)[0])
     reasons = [verdict.why]
     for finding in found.checked.findings:
-        if finding.weight is Weight.FAULT or finding.signal == "clock":
+        if finding.weight is Weight.FAULT:
             reasons.append(finding.line())
     return row | {"verdict": verdict.kind.value, "reason": "; ".join(dict.fromkeys(filter(None, reasons)))}
 
