@@ -39,7 +39,7 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
             notes = [
                 f"Found by: {command}",
                 f"hydro_env {__version__}; {found.verdict()}.",
-                "Ranges: 95 % intervals; an undetermined parameter keeps its range, or the part beyond its known end.",
+                "Ranges: 95 % intervals; an undetermined parameter keeps its range.",
             ]
             text = rig_yaml(read_yaml(found.rig.source), found.fit, found.config, found.rig.randomisation, notes)
             write_text(folder / RIG_FILE, text)
@@ -69,7 +69,6 @@ def as_json(found: Identification, command: str) -> Any:
             "unit": "l/min at 100 bar" if one.name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI",
             "remaining": one.remaining,
             "determined": fit.knows(one),
-            "known_ends": {0: "both", 1: "low", -1: "high"}[one.side],
             "widening": one.widening,
         }
     parts = []

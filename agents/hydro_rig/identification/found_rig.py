@@ -76,8 +76,7 @@ def found_plant(fit: Fit, config: TaskConfig) -> PlantParameters:
 def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> dict[str, dict[str, Any]]:
     """The range of each parameter in the new rig file: its 95 % interval, within the given range.
 
-    An undetermined parameter keeps its range; if one end of its interval is known, the part beyond that end. The leak,
-    which a task draws, keeps its range too.
+    An undetermined parameter keeps its range. The leak, which a task draws, keeps its range too.
     """
     result: dict[str, dict[str, Any]] = {}
     plant = found_plant(fit, config)
@@ -86,7 +85,7 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
         if path not in ranges:
             continue
         given = ranges[path]
-        if not (fit.knows(one) or one.side):
+        if not fit.knows(one):
             result[path] = _undetermined(config.plant, path, given)
         elif one.name == EXTERNAL_LEAKAGE:
             result[path] = _external(one.low, one.high, given)
@@ -99,8 +98,6 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
                 ratios = _rounded((max(low / factor, least), max(high / factor, least)))
                 result[path] = {"uniform": ratios, "times": given.times}
-            elif one.side and given.logarithmic:
-                result[path] = {"log_uniform": _rounded((low, high))}
             else:
                 result[path] = {"uniform": _rounded((low, high))}
     return result
@@ -214,14 +211,6 @@ class Shown(NamedTuple):
         """Two values with enough digits to distinguish them: two of their difference, or four of a single value."""
         decimals = self._decimals(high - low)
         return f"{number(self.factor * low, decimals, 4)} to {number(self.factor * high, decimals, 4)}"
-
-    def interval(self, low: float, high: float, side: int) -> str:
-        """A 95 % interval; with ``side`` 1 or −1 only its lower or upper end is known."""
-        if side > 0:
-            return f"at least {self.value(low, 0.01 * low)}"
-        if side < 0:
-            return f"at most {self.value(high, 0.01 * high)}"
-        return self.span(low, high)
 
     def value(self, value: float, uncertainty: float) -> str:
         """A value with the digits that its uncertainty allows; both in the unknown's unit."""

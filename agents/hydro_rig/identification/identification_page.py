@@ -121,7 +121,7 @@ def unknowns_table(found: Identification) -> pd.DataFrame:
         look = found.look(one.name)
         rows[f"{look.words}, {look.unit}"] = {
             "found": look.value(one.value, one.high - one.low),
-            "95 % interval": look.interval(one.low, one.high, one.side),
+            "95 % interval": look.span(one.low, one.high),
             "determined": "yes" if found.fit.knows(one) else "no",
         }
     return pd.DataFrame.from_dict(rows, orient="index")

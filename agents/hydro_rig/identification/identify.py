@@ -17,7 +17,7 @@ from hydro_env.task.rig import Rig
 from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
 from hydro_rig.identification.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
-from hydro_rig.identification.fit import Fit, Unknown, fit_windows, widened
+from hydro_rig.identification.fit import Fit, Unknown, fit_windows
 from hydro_rig.identification.found_rig import Shown, beyond_range, found_plant, share_in_words, shown
 from hydro_rig.identification.held_back import (
     HORIZONS,
@@ -228,7 +228,7 @@ def identify(
     config = on_grid(config, checked[0].samples.period)
     parts = parts_of([one.samples for one in checked], sources, whole)
     config, rig = _with_bent_valve(config, rig, parts)
-    fit = widened(fit_windows(parts.fitted, config, rig.randomisation), parts.recording)
+    fit = fit_windows(parts.fitted, config, rig.randomisation, parts.recording)
     try:
         plant = found_plant(fit, config)
     except ConfigurationError as error:

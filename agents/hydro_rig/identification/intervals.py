@@ -7,15 +7,15 @@ of the fit that its own window decides (Bell and McCaffrey, *Survey Methodology*
 variance to that of the model is moderated by the ratio that the unknowns have in common (Smyth, *Statistical
 Applications in Genetics and Molecular Biology* 3, 2004): a badly described direction widens its own unknowns, not all.
 
-**Curves and one side.** Unknowns that compensate each other along a curve leave the linear model soon; a limit that the
-motion never reached, such as the slew limit of a valve, leaves the cost flat beyond the found value. Steps to both
-sides of each value, along the ridge of the linear model, find such unknowns; their intervals come from a profile
-(:mod:`hydro_rig.identification.profiles`).
+**Recordings.** Where there are several, the clusters are also the recordings: their windows may err together.
+
+**Limits.** A limit that the motion never reached, such as the slew limit of a valve, leaves the cost flat beyond the
+found value, whatever the slope at it says. Steps to both sides of each value, along the ridge of the linear model, find
+such unknowns: the recordings do not determine them.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -24,11 +24,10 @@ from scipy import stats
 
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution, own_value
-from hydro_env.types import Floats, Indices
+from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE, PATHS, Prior
 from hydro_rig.identification.common_fit import Joint
-from hydro_rig.identification.profiles import ALIKE, LONGEST_PROFILE, MOST_PROFILES, follow
 
 TAIL = 0.025  # of the 95 % interval, to each side
 MODERATION = 4.0  # degrees of freedom of the common ratio; seven windows, the usual number in 20 s, have six
@@ -36,14 +35,12 @@ MODERATION = 4.0  # degrees of freedom of the common ratio; seven windows, the u
 LEAST_RATIO = 1.0  # a variance is never below this share of the model's
 MOST_OWN = 0.95  # largest share of a direction that one window decides, in the correction of its score
 
-STEP, FAR_STEP, LEAST_STEP = 2.0, 6.0, 0.3  # standard deviations, of the steps to both sides
-FLAT = 0.25  # of the expected rise of the cost; a smaller rise is flat
-STEEP = 4.0  # times the expected rise; the linear model does not describe this side
-LIMITS = ("valve.slew_limit", "supply.pump_flow")  # act only where the motion reaches them; always profiled
-SURE_RISE = 3.0
-"""Rise of the cost, in standard deviations, that ends the interval of a value with a flat side: the few readings that
-reached a limit may favour it by chance, and then all larger values are as likely."""
+STEP, FAR_STEP, LEAST_STEP = 2.0, 6.0, 0.3
+"""Standard deviations, of the steps to both sides. The few readings that reached a limit may favour it by chance: the
+far step shows whether all larger values are nearly as likely."""
 
+LONGEST = 3.0  # step, in standard deviations of the range
+FLAT = 0.25  # of the expected rise of the cost; a smaller rise is flat
 MOST_WIDER = 2.0  # largest factor by which a small rise of the cost lengthens one side of an interval
 
 
@@ -55,16 +52,30 @@ class Spread(NamedTuple):
     reach: Floats  # (p,), half of the 95 % interval
 
 
-def spread_of(joint: Joint) -> Spread:
-    """The moderated cluster-robust uncertainty of a common fit; the prior counts as known exactly."""
+def spread_of(joint: Joint, recording: Indices | None = None) -> Spread:
+    """The moderated cluster-robust uncertainty of a common fit; the prior counts as known exactly.
+
+    ``recording``: number of the recording of each window, (B,); the larger uncertainty of both clusters counts.
+    """
+    spread = _spread(joint, joint.information, joint.score)
+    if recording is None or len(np.unique(recording)) < 2:
+        return spread
+    rows = [recording == one for one in np.unique(recording)]
+    information = np.stack([joint.information[chosen].sum(axis=0) for chosen in rows])
+    other = _spread(joint, information, np.stack([joint.score[chosen].sum(axis=0) for chosen in rows]))
+    return Spread(spread.deviation, *map(np.maximum, spread[1:], other[1:]))
+
+
+def _spread(joint: Joint, information: Floats, score: Floats) -> Spread:
+    """The uncertainty with clusters of this information (C, p, p) and score (C, p)."""
     covariance = joint.covariance
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    shares, directions = np.linalg.eigh(root @ joint.information @ root)  # of each window, (B, p), (B, p, p)
+    shares, directions = np.linalg.eigh(root @ information @ root)  # of each window, (B, p), (B, p, p)
     own = 1.0 / np.sqrt(1.0 - np.clip(shares, 0.0, MOST_OWN))
-    turned = np.einsum("bij,bi->bj", directions, joint.score @ root)
+    turned = np.einsum("bij,bi->bj", directions, score @ root)
     moves = np.einsum("bij,bj->bi", directions, own * turned) @ root  # (B, p), of the unknowns, by each window
-    expected = np.einsum("ij,bjk,ki->bi", covariance, joint.information, covariance)
+    expected = np.einsum("ij,bjk,ki->bi", covariance, information, covariance)
     total, variance = expected.sum(axis=0), np.diag(covariance)
     ratio = (moves**2).sum(axis=0) / np.maximum(total, 1e-300)
     freedom = total**2 / np.maximum((expected**2).sum(axis=0), 1e-300)  # Satterthwaite: the windows that count
@@ -78,55 +89,22 @@ def spread_of(joint: Joint) -> Spread:
     return Spread(deviation, widening, reach)
 
 
-class Sides(NamedTuple):
-    """What lies to both sides of the p common unknowns."""
-
-    reach: Floats  # (p, 2), length of the interval below and above the value, scaled
-    open: Indices  # (p,), 1: only a lower end is known, −1: only an upper one, 0: both or none
-
-
-def sides_of(problem: Problem, joint: Joint, spread: Spread, ends: Floats, follows: bool) -> Sides:
-    """Intervals below and above each value; where the cost rises otherwise than expected, from a profile.
+def reaches(problem: Problem, joint: Joint, spread: Spread, ends: Floats) -> tuple[Floats, Mask]:
+    """Length of the interval below and above each value, scaled, and whether the cost is flat there, (p, 2) each.
 
     Args:
         problem: of the windows of the fit.
         joint: the fit.
         spread: of the fit.
         ends: of the ranges, (p, 2), scaled; infinite for unknowns that no limit describes.
-        follows: whether to profile. If the model explains no window, the scatter decides the intervals, and profiles
-            that reach as far would take minutes.
     """
-    middle, count = joint.common, len(joint.shared)
-    bounded = (ends[:, 0] < middle) & (middle < ends[:, 1]) & np.isfinite(ends).all(axis=1)
-    room = np.where(bounded[:, None], np.abs(ends - middle[:, None]), np.inf)
+    middle = joint.common[:, None]
+    bounded = (ends[:, :1] < middle) & (middle < ends[:, 1:]) & np.isfinite(ends).all(axis=1, keepdims=True)
+    room = np.where(bounded, np.abs(ends - middle), np.inf)
     near = _rises(problem, joint, np.minimum(STEP * spread.deviation[:, None], room))
-    far = _rises(problem, joint, np.minimum(FAR_STEP * spread.deviation[:, None], np.minimum(room, LONGEST_PROFILE)))
+    far = _rises(problem, joint, np.minimum(FAR_STEP * spread.deviation[:, None], np.minimum(room, LONGEST)))
     reach = spread.reach[:, None] * np.clip(1.0 / np.sqrt(np.maximum(near, 1e-3)), 1.0, MOST_WIDER)
-    covariance = joint.covariance
-    alike = np.abs(covariance) / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
-    limited = np.array([problem.model.names[place] in LIMITS for place in joint.shared])
-    flat = bounded & (limited | (np.minimum(near, far) < FLAT).any(axis=1))
-    odd = flat | (near > STEEP).any(axis=1) | (near < FLAT).any(axis=1)
-    found, done = np.zeros(count, np.int64), np.zeros(count, np.bool_)
-    for place in sorted(np.flatnonzero(odd & follows).tolist(), key=lambda place: -spread.deviation[place]):
-        if not flat[place] and (done.sum() >= MOST_PROFILES or (alike[place, done] > ALIKE).any()):
-            continue
-        done[place] = True
-        target = (spread.reach[place] / spread.deviation[place]) ** 2
-        if flat[place]:
-            target = max(target, (SURE_RISE * spread.widening[place]) ** 2)
-        lengths = (-spread.reach[place], spread.reach[place])
-        limits = ends[place] if bounded[place] else (-np.inf, np.inf)
-        paths = [follow(problem, joint, place, lengths[side], target, float(limits[side])) for side in (0, 1)]
-        for path in paths:
-            rest = np.sqrt(np.maximum(1.0 - path.rise / target, 0.0))  # that the other unknowns may use up
-            beside = rest[:, None] * spread.reach * np.sqrt(1.0 - np.minimum(alike[place], 1.0) ** 2)
-            away = path.scaled - middle
-            reach[:, 0] = np.maximum(reach[:, 0], (beside - away).max(axis=0))
-            reach[:, 1] = np.maximum(reach[:, 1], (beside + away).max(axis=0))
-        if bounded[place] and paths[0].endless != paths[1].endless:
-            found[place] = 1 if paths[1].endless else -1
-    return Sides(reach, found)
+    return reach, bounded & (np.minimum(near, far) < FLAT)
 
 
 def _rises(problem: Problem, joint: Joint, lengths: Floats) -> Floats:
@@ -174,19 +152,6 @@ def range_ends(config: TaskConfig, ranges: Mapping[str, Distribution], priors: M
             if low > 0.0 or not prior.logarithmic:
                 ends[place] = prior.scaled(low), prior.scaled(high)
     return ends
-
-
-def beside_the_edge(name: str, prior: Prior, plant: PlantParameters, limit: float, end: float) -> float:
-    """Value, scaled, of an unknown of which only one end is known: that of the rig file if it is possible.
-
-    Else it is the middle between the known end, ``limit``, and the ``end`` of the range, scaled. The known end itself
-    would be a claim: that the limit begins where the motion ended.
-    """
-    own = own_value(plant, name)
-    nominal = float(prior.scaled(own)) if own > 0.0 or not prior.logarithmic else math.nan
-    if min(limit, end) <= nominal <= max(limit, end):
-        return nominal
-    return 0.5 * (limit + end)
 
 
 def within_bounds(plant: PlantParameters, name: str, value: float) -> float:
