@@ -76,7 +76,7 @@ def festo(given: Namespace) -> None:
     found = identified(HERE / "festo_tp511.yaml", [*names], maps, [f"*_{volts}V_*" for volts in others])
     fit, lines = found.fit, []
     for one in fit.unknowns:
-        look = shown(one.name, found.config.plant)
+        look = shown(one.name)
         cells = [look.value(one.value, one.high - one.low), look.span(one.low, one.high)]
         lines.append((look.words, look.unit, *cells, "yes" if fit.knows(one) else "no"))
     print(markdown(("unknown", "unit", "found", "95 % interval", "determined"), lines), end="\n\n")

@@ -246,7 +246,7 @@ SHOWN_IN = {
 """Units of the file that are not the first ones of :data:`~hydro_env.units.UNITS`."""
 
 
-def _unit(path: str) -> str:
+def unit_in_file(path: str) -> str:
     """The unit in which the file shows a parameter; one that begins with a digit would count as a number."""
     own = PARAMETER_UNITS[path]
     usual = next(iter(UNITS[own])) if own in UNITS and own != "1" else own
@@ -275,13 +275,13 @@ def new_rig(figures: Mapping[str, Any], source: str) -> tuple[str, Rig]:
         for field, value in fields.items():
             path = f"{group}.{field}"
             origin = "given" if path in given else origins.get(path, "assumed")
-            text += f"  {field}: {given.get(path) or _shown(value, _unit(path))}  # {origin}\n"
+            text += f"  {field}: {given.get(path) or _shown(value, unit_in_file(path))}  # {origin}\n"
     text += "randomisation:  # uncertain values: each episode draws them; hydro identify narrows them\n"
     for path, draw in ranges.items():
         parts = []
         for name, value in draw.items():
             absolute = name.endswith("uniform") and "times" not in draw
-            parts.append(f"{name}: {_shown(value, _unit(path) if absolute else '')}")
+            parts.append(f"{name}: {_shown(value, unit_in_file(path) if absolute else '')}")
         text += f"  {path}: {{{', '.join(parts)}}}  # {SPREADS[path]}\n"
     if sensors:
         text += "sensors:  # as given; check-rig shows the rest\n"

@@ -23,7 +23,7 @@ from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import Finding, lines_of
-from hydro_rig.recordings.parts import lively
+from hydro_rig.recordings.parts import liveliest
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import cut, on_grid
@@ -62,8 +62,8 @@ class Diagnosis(Judged):
     """All results for a recording."""
 
     recording: Recording
-    companion: Detector  # that reads beside the estimator
-    note: str  # why the companion was not used; empty if it was
+    companion: Detector | None = None  # that reads beside the estimator
+    note: str = ""  # why the companion was not used; empty if it was
 
     @property
     def readings(self) -> list[NamedReading]:
@@ -71,7 +71,7 @@ class Diagnosis(Judged):
         found = []
         if self.read.estimator is not None:
             found.append(NamedReading("estimator", "estimator", self.read.estimator))
-        if self.read.companion is not None:
+        if self.companion is not None and self.read.companion is not None:
             name = name_of(self.companion)
             own = name != HEAD
             found.append(NamedReading(name, name if own else "head", self.read.companion, own))
@@ -146,7 +146,7 @@ def read_windows(windows: Windows, config: TaskConfig, threads: int | None = Non
     ``threads`` is that of :class:`~hydro_rig.estimation.estimator.EstimatorDetector`.
     """
     commanded = np.flatnonzero(windows.commanded)
-    first = commanded[lively(windows.part(commanded), FIRST_WINDOWS)]
+    first = commanded[liveliest(windows.part(commanded), FIRST_WINDOWS)]
     others = np.setdiff1d(np.arange(len(windows)), first)
     detector = EstimatorDetector(threads=threads)
     if not len(first):

@@ -58,21 +58,24 @@ def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, comm
 
 
 @drawn
-def diagnosis_page(diagnosis: Diagnosis) -> Page:
+def diagnosis_page(
+    diagnosis: Diagnosis,
+    title: str = "Diagnosis of the axis",
+    numbers: str = "leak.csv (readings of each window) and findings.csv",
+    line: str = "",
+) -> Page:
     """The verdict and what to do next, the readings over time, and what is wrong with the recording."""
-    page = Page(
-        "Diagnosis of the axis", "Numbers: leak.csv (readings of each window) and findings.csv beside this page."
-    )
+    page = Page(title, f"Numbers: {numbers} beside this page.")
     page.verdict(capitalised(diagnosis.verdict.line()), STYLES[diagnosis.verdict.kind])
+    if line:
+        page.text(f"{capitalised(line)}.")
     page.text(ADVICE[diagnosis.verdict.kind])
     page.heading("Leak over time")
     recording = diagnosis.recording
     axes = time_panels(("leak, l/min at 100 bar", *PANELS), 9.5, height_ratios=[1.7, 1, 1, 1])
     draw_leak(axes[0], diagnosis)
-    for one, (factor, names) in zip(axes[1:], PANELS.values(), strict=True):
-        for name in names:
-            values = factor * recording.signals[MEASURED.index(name)]
-            signal(one, recording.time, values, label=name.replace("_", " "), linewidth=1.0)
+    draw_signals(axes[1:], recording.time, recording.signals)
+    for one, (_, names) in zip(axes[1:], PANELS.values(), strict=True):
         mark(one, recording.time, [finding for finding in diagnosis.checked.findings if finding.signal in names])
     note = (
         "Each point is one window with its 90 % interval; a hollow one does not count. Green: healthy seals. Orange: "
@@ -97,6 +100,14 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         facts[f"read by the {name}"] = int(reading.answers.sum())
     page.facts(facts)
     return page
+
+
+def draw_signals(axes: Sequence[Axes], time: Floats, signals: Floats) -> None:
+    """The signals (5, T) over time, one panel each of :data:`PANELS`."""
+    for one, (factor, names) in zip(axes, PANELS.values(), strict=True):
+        for name in names:
+            values = factor * signals[MEASURED.index(name)]
+            signal(one, time, values, label=name.replace("_", " "), linewidth=1.0)
 
 
 def mark(axes: Axes, time: Floats, findings: Sequence[Finding]) -> None:

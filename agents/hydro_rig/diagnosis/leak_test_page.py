@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from hydro_agents.report.kit import BLUE, GREY, Page, drawn, signal, time_panels
+from hydro_agents.report.kit import Page, drawn, time_panels
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import capitalised, number
+from hydro_agents.running.text import capitalised
 from hydro_env.files import write_text
-from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B
-from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
+from hydro_rig.diagnosis.diagnosis_page import PANELS, diagnosis_page, draw_signals
 from hydro_rig.diagnosis.leak_test_plan import SIMULATED_LEAK, Plan
 from hydro_rig.diagnosis.leak_test_reading import LeakTest
-from hydro_rig.diagnosis.verdict import Kind
-from hydro_rig.estimation.estimator import WEAR, healthy_range
-from hydro_rig.recordings.findings import lines_of
 from hydro_rig.recordings.simulated import recording_csv
 
 JOB = "leak-test"
 PLAN_FILES = ("plan.html", "commands.csv", "simulated.csv")
 READING_FILES = ("leak_test.html", "leak_test.json")
-STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse"}
 
 CAUTION = (
     "The limits hold on the simulated axes. Clear the whole stroke, keep the emergency stop at hand, and run the test "
@@ -69,46 +63,14 @@ def plan_page(plan: Plan) -> Page:
     columns = {"opening, %": (100.0 * steps["opening"]).to_list(), "for, s": steps["seconds"].to_list()}
     page.table(pd.DataFrame(columns | {"what": steps["what"].to_list()}, index=begin), "Steps, by their begin in s")
     time = plan.task.control_period * np.arange(plan.signals.shape[2], dtype=np.float64)
-    draw_course(page, f"Simulated axes with worn valves, leak {SIMULATED_LEAK:g} l/min", time, plan.signals[0])
+    axes = time_panels(tuple(PANELS), 5.0)
+    draw_signals(axes, time, plan.signals[0])
+    page.figure(axes, f"A simulated axis with a worn valve, leak {SIMULATED_LEAK:g} l/min")
     return page
 
 
 def write_reading(folder: Path, test: LeakTest, command: str) -> None:
     """Write the page and the numbers."""
     write_text(folder / "leak_test.json", json.dumps(test.facts(), indent=1) + "\n")
-    reading_page(test).write(folder / "leak_test.html", Origin.now(command))
-
-
-@drawn
-def reading_page(test: LeakTest) -> Page:
-    """The verdict, leak and wear with their intervals and bounds, and the recording."""
-    page = Page("Leak test of the axis", "Numbers: leak_test.json beside this page.")
-    page.verdict(capitalised(test.verdict.line()), STYLES.get(test.verdict.kind, "doubtful"))
-    if test.fit is not None:
-        rows = {"piston seal, l/min at 100 bar": (test.fit.seal, 1.0, f"to {test.limits.healthy:g}")}
-        rows["edges of the closed valve, l/min"] = (test.fit.edges, 1.0, "")
-        for name, quantity in test.fit.quantities.items():
-            if name in WEAR and quantity is not test.fit.seal:
-                wear = WEAR[name]
-                low, high = (wear.factor * end for end in healthy_range(test.task, name))
-                healthy = f"from {number(low, digits=3)}" + (f" to {number(high, digits=3)}" if high < math.inf else "")
-                rows[f"{wear.what}, {wear.unit}"] = (quantity, wear.factor, healthy)
-        table = {}
-        for name, (quantity, factor, healthy) in rows.items():
-            value, low, high = (factor * part for part in quantity.leak)
-            bound = abs(factor) * quantity.bound
-            table[name] = {"value": value, "low": low, "high": high, "bound ±": bound, "healthy": healthy}
-        page.table(pd.DataFrame.from_dict(table, orient="index"), "What the test found, with 90 % intervals")
-    page.points(lines_of(test.checked.findings))
-    draw_course(page, "The recording", test.recording.time, test.recording.signals)
-    return page
-
-
-def draw_course(page: Page, title: str, time: Floats, signals: Floats) -> None:
-    """Valve command, position and pressures (5, T) over time."""
-    command, position, pressure = axes = time_panels(("command, %", "position, mm", "pressure, bar"), 5.0)
-    signal(command, time, 100.0 * signals[COMMAND], color=GREY)
-    signal(position, time, 1e3 * signals[POSITION], color=GREY)
-    signal(pressure, time, 1e-5 * signals[PRESSURE_A], color=GREY, label="a (bore)")
-    signal(pressure, time, 1e-5 * signals[PRESSURE_B], color=BLUE, label="b (rod)")
-    page.figure(axes, title)
+    page = diagnosis_page(test, "Leak test of the axis", "leak_test.json", test.line())
+    page.write(folder / "leak_test.html", Origin.now(command))

@@ -18,11 +18,12 @@ from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import PARAMETER_PATHS, from_vector, to_vector
 from hydro_env.plant.parts.valve import edge_openings, smooth_root
-from hydro_env.task.sensors import COMMAND, SENSORS
+from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
 from hydro_env.units import LITRE_PER_MINUTE
+from hydro_rig.diagnosis.diagnose import Diagnosis
 from hydro_rig.diagnosis.leak_test_plan import priors_of_test, worn_task
-from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged
+from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Leak
 from hydro_rig.diagnosis.volume_balance import leak_of_blocks
 from hydro_rig.estimation.estimator import WEAR, healthy_range
@@ -34,12 +35,11 @@ from hydro_rig.identification.intervals import spread_of
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import lines_of
 from hydro_rig.recordings.quality import check_recording
-from hydro_rig.recordings.recording import Recording, read_recording
+from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.sampling import Sampled, cut, on_grid
 
 WINDOW = 4.0  # s; the windows share all unknowns but their start
-MOST_WINDOWS = 30  # a longer recording is read from the first change of the command on
-BEFORE = 1.0  # s of rest before the first change of the command that are read
+MOST_WINDOWS = 30  # of a longer recording those at its end
 APART = 3.0  # uncertainty of the leak over that of its sum with the flow of the edges, up to which they are apart
 STEP = 0.01  # of the differences of the flow of the edges, in standard deviations of the priors
 
@@ -73,11 +73,10 @@ class LeakFit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LeakTest(Judged):
+class LeakTest(Diagnosis):
     """The result of a leak test; its task has a healthy valve."""
 
-    recording: Recording
-    fit: LeakFit | None  # None: nothing was read
+    fit: LeakFit | None = None  # None: nothing was read
 
     def line(self) -> str:
         """The leak of the seal beside the flow through the edges of the valve; empty: nothing was read."""
@@ -145,15 +144,11 @@ def read_leak_test(path: Path, config: TaskConfig, columns: ColumnMap | None = N
 
 
 def _windows(samples: Sampled, config: TaskConfig) -> Windows:
-    """The windows with all commands, from shortly before the first change of the command on."""
+    """The last windows with all commands."""
     total = int(samples.place[-1]) + 1 if len(samples.place) else 0
     count = max(round(total * config.control_period / WINDOW), 1)
-    length = max(total // count, 2)  # to the last move
-    windows = cut(samples, length)
-    chosen = np.flatnonzero(windows.commanded)
-    moved = np.flatnonzero(np.ptp(windows.signals[chosen, COMMAND], axis=1) > 0.0)
-    first = max(int(moved[0]) - int(np.ceil(BEFORE / WINDOW)), 0) if len(moved) else 0
-    return windows.part(chosen[first : first + MOST_WINDOWS])
+    windows = cut(samples, max(total // count, 2))  # to the last move
+    return windows.part(np.flatnonzero(windows.commanded)[-MOST_WINDOWS:])
 
 
 def quantities(common: Common, task: TaskConfig) -> LeakFit:

@@ -10,8 +10,7 @@ import numpy as np
 
 from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_env import TaskConfig
-from hydro_env.task.sensors import SPOOL
-from hydro_env.types import Floats, Indices
+from hydro_env.types import Floats
 from hydro_rig.estimation.errors import Errors, errors_of, spikes_of
 from hydro_rig.estimation.model import LONG_STEP
 from hydro_rig.estimation.result import Estimate
@@ -22,7 +21,6 @@ SHORTEST_FIT = 10  # samples; shorter fits carry no information
 RESTART = 0.7  # standard deviation of the random start of a further search, in standard deviations of the prior
 NEW_MINIMUM = 0.97  # a search with a larger chi2, over the lowest, ended in the same minimum or in a worse one
 UNEVEN = 2.0  # white noise of a channel, over the median of all, beyond which a search perhaps ended too early
-UNKNOWN_COMMANDS = 2  # readings at an end of the window that are left out if its commands are a row late or early
 ROUNDS = 3  # of a fit and an estimate of the errors of its readings, one after the other
 LARGEST_SLOW_ERROR = 0.05  # of a channel's standard deviation in the window; with a larger one the model does not hold
 SURE = 3.0  # standard deviations of an estimate, beyond which a value is surely another
@@ -99,12 +97,7 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
     names = problem.model.names
     more = {name: prior for name, prior in timing_priors(problem.model.config).items() if name not in names}
     wide = problem.part(odd).with_more(more)
-    scaled, data = np.pad(first[odd], ((0, 0), (0, len(more)))), wide.measured
-    if LATENCY in more:
-        scaled[:, len(names)], shift = _row_of_the_command(wide, scaled)
-        data[shift > 0, :, :UNKNOWN_COMMANDS] = np.nan  # moved by rows of the command that the window does not hold
-        data[shift < 0, :, -UNKNOWN_COMMANDS:] = np.nan
-    scaled = _approach(wide, scaled, settings)
+    scaled, data = _approach(wide, np.pad(first[odd], ((0, 0), (0, len(more)))), settings), wide.measured
     errors, spikes = Errors.of_data_sheet(*data.shape[:2]), np.zeros(data.shape, np.bool_)
     for attempt in range(ROUNDS):
         kept = wide._replace(measured=np.where(spikes, np.nan, data), errors=errors)
@@ -129,18 +122,6 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
     again.spikes[:] = spikes.sum(axis=2) / np.maximum(readable.sum(axis=2), 1)
     again.unlikelihood[:] = unlikelihood + SPIKE_COST * spikes.sum(axis=(1, 2))
     found.take(odd, again, np.ones(len(odd), np.bool_))
-
-
-def _row_of_the_command(problem: Problem, scaled: Floats) -> tuple[Floats, Indices]:
-    """Scaled latency, (B,), and by how many rows the command is late, (B,): by the spool, which follows it."""
-    model = problem.model
-    place, rows = model.names.index(LATENCY), np.array([0, -1, 1])
-    shifts = rows * model.config.control_period / timing_priors(model.config)[LATENCY].deviation
-    tried = np.repeat(scaled[:, None], len(rows), axis=1)
-    tried[:, :, place] += shifts
-    away = problem.residual(tried)[:, :, SPOOL]
-    best = np.argmin((np.where(np.isfinite(away), away, 0.0) ** 2).sum(axis=2), axis=1)
-    return scaled[:, place] + shifts[best], rows[best]
 
 
 def timing_priors(config: TaskConfig) -> dict[str, Prior]:

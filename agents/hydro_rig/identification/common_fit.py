@@ -1,14 +1,12 @@
 """The common fit of the windows of a recording: shared parameters, leaks and biases, and a start state for each window.
 
 A cost with friction and edges has local minima. The search therefore begins at several values: those that the windows
-found by themselves, and, where no window is explained, random ones. Windows that the common values do not explain are
-fitted again from them.
+found by themselves. Windows that the common values do not explain are fitted again from them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +18,7 @@ from hydro_rig.estimation.estimate import estimate, usable_readings
 from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.result import Estimate
-from hydro_rig.estimation.search import LARGEST_MISFIT, UNKNOWN_COMMANDS, EstimationSettings, search, timing_priors
+from hydro_rig.estimation.search import LARGEST_MISFIT, EstimationSettings, search, timing_priors
 from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of
 from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, RISE_TIME, Prior, prior_of
 
@@ -33,9 +31,6 @@ misfit is what a window of fast motion has."""
 ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2, errors=False)
 """Search settings of the single windows; the common fit continues from their results."""
 
-RANDOMLY, FEW = replace(ROUGHLY, restarts=3), 2
-"""The same for the few best windows, where no common values explain most of all."""
-
 LOOSENED = 4.0  # factor on the variance of the common values, as the prior of a window that they do not explain
 
 MOST_DAMPING = 5e5
@@ -47,6 +42,8 @@ FINE = Effort(25, 0.02, SHORT_STEP, give_up=MOST_DAMPING, phase=PHASE)
 """A common fit begins with long differences, which bridge the roughness of friction, and ends with short ones, which
 alone follow a curved valley to its lowest point."""
 
+UNKNOWN_COMMANDS = 2  # readings at each end of a window that are left out if its commands may be a row late or early
+
 LINEARISATIONS = 3
 """Of the result, each with differences as long as the uncertainty that the one before has shown. Short ones are rough,
 and roughness looks like information: an unknown without influence would seem to be known."""
@@ -55,9 +52,6 @@ MUCH_BETTER = 0.7
 """A null that wanders is taken where it brings the median misfit below this share; otherwise it only takes up noise."""
 
 STARTING_VALUES = 2  # common fits from different values; the best is taken
-APART = 4.0  # standard deviations between two minima
-PROMISING = 50.0
-"""Rise of the cost up to which the end of a rough search is searched further, if it is far from the best."""
 
 
 class Joint(NamedTuple):
@@ -148,16 +142,12 @@ def descend(problem: Problem, first: Floats, effort: Effort = ROUGH) -> tuple[Fl
 def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> Common:
     """Fit windows of one recording, or of several of one axis, together."""
     tell("windows", 0, len(windows))
-    alone = fitted_alone(windows, config, priors)
+    alone = estimate(windows.signals, config, list(priors), settings=ROUGHLY, boundary=windows.boundary)
     tell("windows", len(windows), len(windows))
     best = _common_fit(windows, config, priors, alone)
     if best.explained < len(windows):
-        if 2 * best.explained >= len(windows):
-            again = np.flatnonzero(~(best.misfit < WELL_FITTED))
-            other = _nearby(windows.part(again), config, best, alone.scaled[again])
-        else:
-            again = np.sort(np.argsort(alone.misfit)[:FEW])
-            other = fitted_alone(windows.part(again), config, priors, RANDOMLY)
+        again = np.flatnonzero(~(best.misfit < WELL_FITTED))
+        other = _nearby(windows.part(again), config, best, alone.scaled[again])
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
             second = _common_fit(windows, config, priors, alone)
             best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
@@ -195,13 +185,6 @@ def _continued(found: Common, more: Mapping[str, Prior]) -> Common:
     return Common.of(len(found.misfit), np.flatnonzero(np.isfinite(found.misfit)), problem, joint)
 
 
-def fitted_alone(
-    windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], settings: EstimationSettings = ROUGHLY
-) -> Estimate:
-    """Each window by itself."""
-    return estimate(windows.signals, config, list(priors), settings=settings, boundary=windows.boundary)
-
-
 def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> Problem:
     """Some windows, and the model of them."""
     model = Model(config, priors, windows.signals[:, -1], boundary=windows.boundary)
@@ -224,24 +207,12 @@ def _common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior
     for again in (False, True):  # the second time without the outliers of the first
         problem = replayed(windows.part(kept), config, priors)
         rough = [descend(problem, first)[0] for first in _first_values(problem, alone, kept)]
-        costs = costs_of(problem, rough)
-        order = np.argsort(costs)
-        joint = fit_together(problem, rough[order[0]])
+        joint = fit_together(problem, rough[int(np.argmin(costs_of(problem, rough)))])
         still = without_outliers(joint.misfit)
         if again or len(still) == len(kept):
             break
         kept = kept[still]
-    for place in order[1:]:
-        if costs[place] < costs[order[0]] + PROMISING and _far(rough[place][0, joint.shared], joint):
-            both = [joint, fit_together(problem, rough[place])]
-            joint = both[int(np.argmin(costs_of(problem, [one.scaled for one in both])))]
     return Common.of(len(windows), kept, problem, joint)
-
-
-def _far(common: Floats, joint: Joint) -> bool:
-    """Whether shared values, (p,) scaled, lie outside the uncertainty of a fit."""
-    away = common - joint.common
-    return float(away @ joint.precision @ away) > APART**2 + len(away)
 
 
 def costs_of(problem: Problem, trials: list[Floats]) -> list[float]:

@@ -7,7 +7,6 @@ explain.
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,61 +27,35 @@ MOST_DIFFER = 0.5  # share of the windows with an answer from which on the model
 SPIKES = 0.002  # share of spikes that is worth a line
 
 
-class _Odd(NamedTuple):
-    """One value of a recording that the data sheet contradicts."""
-
-    signal: str
-    kind: str  # command_latency or pressure_rise_time (s); white, slow (over the data sheet's noise), spikes (share)
-    size: float
-
-
-def _odd(found: Estimate, task: TaskConfig) -> list[_Odd]:
-    """The medians over the windows with an answer, or over all if there is none, where they are worth a line."""
-    used = found.part(np.flatnonzero(found.holds)) if found.holds.any() else found
-    latency, rise = float(np.median(used.latency)), float(np.median(used.rise_time))
-    odd = []
-    if abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period:
-        odd.append(_Odd("command", LATENCY, latency))
-    if abs(rise - task.sensors.pressure_rise_time) > RISE_TIME_CHANGE:
-        odd.append(_Odd("pressures", RISE_TIME, max(rise, 0.0)))
-    for channel, name in enumerate(SENSORS):
-        white, slow, spikes = (float(np.median(part[:, channel])) for part in (used.white, used.slow, used.spikes))
-        if not LESS <= white <= MORE:
-            odd.append(_Odd(name, "white", white))
-        if slow > SLOW:
-            odd.append(_Odd(name, "slow", slow))
-        if spikes > SPIKES:
-            odd.append(_Odd(name, "spikes", spikes))
-    return odd
-
-
 def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
     """What the recording says of timing and errors that the data sheet does not, one finding each.
 
     Args:
-        found: the windows of a recording; those with an answer count, or all if there is none.
+        found: the windows of a recording; the medians of those with an answer count, or of all if there is none.
         task: as the estimate assumed it.
     """
+    used = found.part(np.flatnonzero(found.holds)) if found.holds.any() else found
     end = "used" if found.holds.any() else "the model still does not hold"
-    shown_parts = Counter(part for parts in found.parts for part in parts)
-    findings = [
-        Finding("model", f"shows {part} that the rig's file does not tell: {end}", Weight.NOTE)
-        for part, count in shown_parts.items()
-        if count >= MOST_DIFFER * len(found)
-    ]
-    for signal, kind, size in _odd(found, task):
-        if kind == "spikes":
-            findings.append(Finding(signal, "has spikes: left out", Weight.NOTE, share=size))
-            continue
-        if kind == LATENCY:
-            what = f"acts {_ms(size)} after its row, and not {_ms(task.command_latency)} ({kind})"
-        elif kind == RISE_TIME:
-            what = f"rise within {_ms(size)}, and not {_ms(task.sensors.pressure_rise_time)} ({kind})"
-        elif kind == "white":
-            what = f"scatters {number(size, 1)} times its data sheet"
-        else:
-            what = f"differs slowly from the model, by {_size(signal, size, task)}"
-        findings.append(Finding(signal, f"{what}: {end}", Weight.NOTE))
+    odd: list[tuple[str, str]] = []
+    for part, count in Counter(part for parts in found.parts for part in parts).items():
+        if count >= MOST_DIFFER * len(found):
+            odd.append(("model", f"shows {part} that the rig's file does not tell"))
+    latency, rise = float(np.median(used.latency)), max(float(np.median(used.rise_time)), 0.0)
+    if abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period:
+        odd.append(("command", f"acts {_ms(latency)} after its row, and not {_ms(task.command_latency)} ({LATENCY})"))
+    usual = task.sensors.pressure_rise_time
+    if abs(rise - usual) > RISE_TIME_CHANGE:
+        odd.append(("pressures", f"rise within {_ms(rise)}, and not {_ms(usual)} ({RISE_TIME})"))
+    spiky = []
+    for channel, name in enumerate(SENSORS):
+        white, slow, spikes = (float(np.median(part[:, channel])) for part in (used.white, used.slow, used.spikes))
+        if not LESS <= white <= MORE:
+            odd.append((name, f"scatters {number(white, 1)} times its data sheet"))
+        if slow > SLOW:
+            odd.append((name, f"differs slowly from the model, by {_size(channel, slow, task)}"))
+        if spikes > SPIKES:
+            spiky.append(Finding(name, "has spikes: left out", Weight.NOTE, share=spikes))
+    findings = [Finding(signal, f"{what}: {end}", Weight.NOTE) for signal, what in odd] + spiky
     if found.holds.any() and found.of_model[found.holds].mean() >= MOST_DIFFER:
         findings.append(Finding("model", "differs slowly from several signals, which can hide a leak", Weight.DOUBT))
     return findings
@@ -96,18 +69,14 @@ def worst_signal(found: Estimate, task: TaskConfig) -> str:
     if not total[channel] > SLOW:
         return ""
     how = "slowly" if slow[channel] > white[channel] else "from sample to sample"
-    name = SENSORS[channel]
-    return f"{name} differs most from the model, {how}, by {_size(name, float(total[channel]), task)}"
+    return f"{SENSORS[channel]} differs most from the model, {how}, by {_size(channel, float(total[channel]), task)}"
 
 
 def _ms(seconds: float) -> str:
     return f"{number(1e3 * seconds, 1)} ms"
 
 
-def _size(name: str, size: float, task: TaskConfig) -> str:
-    look = shown(f"{name}_bias", task.plant)
-    return f"{number(look.factor * size * _noise(name, task), 3)} {look.unit}"
-
-
-def _noise(name: str, task: TaskConfig) -> float:
-    return float(noise_of(task)[SENSORS.index(name)])
+def _size(channel: int, size: float, task: TaskConfig) -> str:
+    """An error over the noise of the data sheet, in the unit of its channel."""
+    look = shown(f"{SENSORS[channel]}_bias")
+    return f"{number(look.factor * size * float(noise_of(task)[channel]), 3)} {look.unit}"

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from hydro_agents.rigs.rig_file import unit_in_file
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parts.leakage import LEAK_LAWS, leak_past_piston
 from hydro_env.task.randomisation import Distribution, own_value
-from hydro_env.units import UNITS, flow_from_resistance, resistance_from_flow
+from hydro_env.units import FACTORS, flow_from_resistance, resistance_from_flow
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -28,12 +29,6 @@ from hydro_rig.identification.fit import Fit
 from hydro_rig.identification.intervals import hull, within_bounds
 
 DIGITS = 6  # significant, of the numbers in the file
-
-READ_IN = {"m": "mm", "m³": "cm³", "m/s": "mm/s", "m³/s": "l/min", "m³/(s Pa)": "l/min/bar", "Pa": "bar", "rad/s": "Hz"}
-"""Unit in which a person reads a quantity, by its SI unit."""
-
-SHARES = ("overlap", "underlap", "null_shift", "air_fraction")
-"""Fields without a unit that data sheets give in per cent."""
 
 _BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
 
@@ -158,7 +153,7 @@ def rig_yaml(
     found = found_values(fit, config)
     for path, value in found.items():
         group, field = path.split(".")
-        values.setdefault(group, {})[field] = _with_unit(path, value, config.plant)
+        values.setdefault(group, {})[field] = _with_unit(path, value)
     if "valve.knee_opening" in found:
         values["valve"]["knee_position"] = config.plant.valve.knee_position
     # The parameters stay in their groups; the narrowed ranges replace the old ones.
@@ -166,7 +161,7 @@ def rig_yaml(
     for path, entry in values["randomisation"].items():
         for key, value in entry.items():
             if "times" not in entry and not key.endswith("probability"):
-                entry[key] = _with_unit(path, value, config.plant)
+                entry[key] = _with_unit(path, value)
     lines = [f"# {' '.join(note.split())}" for note in notes]
     for key, content in values.items():
         if not isinstance(content, Mapping):
@@ -183,15 +178,15 @@ def rig_yaml(
     return "\n".join(lines) + "\n"
 
 
-def _with_unit(path: str, value: Any, plant: PlantParameters) -> Any:
+def _with_unit(path: str, value: Any) -> Any:
     """A number in SI, or a list of two, as text in the unit of data sheets; words and infinity as they are."""
     if isinstance(value, list):
-        return [_with_unit(path, end, plant) for end in value]
+        return [_with_unit(path, end) for end in value]
     if not isinstance(value, float) or math.isinf(value):
         return value
-    size, unit = reading_unit(path, plant)
-    number = float(f"{value / size:.{DIGITS}g}")
-    return number if not unit or unit[0].isdigit() else f"{number:.{DIGITS}g} {unit}"
+    unit = unit_in_file(path)
+    number = float(f"{value / FACTORS.get(unit, 1.0):.{DIGITS}g}")
+    return f"{number:.{DIGITS}g} {unit}" if unit else number
 
 
 def _line(key: str, value: Any) -> str:
@@ -221,20 +216,7 @@ class Shown(NamedTuple):
         return decimals_for(size, 2) if 0.0 < size < math.inf else None
 
 
-def reading_unit(path: str, plant: PlantParameters) -> tuple[float, str]:
-    """SI per unit, and the unit, in which a person reads a number of the rig: that of data sheets."""
-    group, field = path.split(".")
-    schema = type(getattr(plant, group)).model_fields[field].json_schema_extra
-    si = str(schema.get("unit", "")) if isinstance(schema, dict) else ""
-    unit = READ_IN.get(si, si)
-    if field in SHARES:
-        unit = "%"
-    elif field.endswith("bulk_modulus"):
-        unit = "GPa"
-    return UNITS.get(si, {}).get(unit, 1.0), unit
-
-
-def shown(name: str, plant: PlantParameters) -> Shown:
+def shown(name: str) -> Shown:
     """Display of an unknown of :mod:`hydro_rig.estimation.unknowns`."""
     if name in _SHOWN:
         return _SHOWN[name]
@@ -243,8 +225,8 @@ def shown(name: str, plant: PlantParameters) -> Shown:
         return Shown(f"offset of the sensor: {channel.replace('_', ' ')}", *_BIAS_UNITS.get(channel, (1e-5, "bar")))
     if name in GAINS:
         return Shown(f"gain of the sensor: {channel.replace('_', ' ')}", 1.0, "1")
-    size, unit = reading_unit(name, plant)
-    return Shown(name.replace(".", ": ").replace("_", " "), 1.0 / size, unit)
+    unit = unit_in_file(name)
+    return Shown(name.replace(".", ": ").replace("_", " "), 1.0 / FACTORS.get(unit, 1.0), unit or "1")
 
 
 _SHOWN = {

@@ -125,7 +125,7 @@ class Identification:
 
     def look(self, name: str) -> Shown:
         """Display of an unknown."""
-        return shown(name, self.config.plant)
+        return shown(name)
 
     @property
     def noted(self) -> list[str]:

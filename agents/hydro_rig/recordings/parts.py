@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_agents.detection.detector import Windows
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError
 from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.recordings.findings import Finding
@@ -22,16 +22,13 @@ SHORTEST_WINDOW = 0.4  # s; shorter windows give too little information, because
 HELD_BACK_SHARE = 0.3  # of a single recording
 MOST_TRAVEL = 0.5  # largest share of the travel in the part that is held back
 MOST_WINDOWS = 12
-"""More windows would take longer and add little: of a longer recording, each twelfth gives the one with most motion."""
+"""More windows would take longer and add little: of a longer recording, each twelfth gives its liveliest."""
 
 FAST = 0.5  # of the longest travel in a window: a move to a stop beyond the sensor's range, which is over soon
 FEWEST_OF_EACH = 3  # windows of each recording, if there are many: one out, one back, and one that ends at rest
 LONGEST_HELD_BACK = 10.0  # s, of one recording
 LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
 SAME_AMPLITUDE = 1.1  # largest ratio of the largest commands of recordings with the same amplitude
-
-SECTION = 300.0  # s of a long recording, each of which gives a window
-UNUSABLE = -1e3  # added to the score of a window that lacks commands, or has the valve at its end for most of the time
 
 MOST_AT_FULL_COMMAND = 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""
@@ -105,8 +102,10 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     if not used:
         raise ConfigurationError(f"{together}: nothing is left for the fit; hold back fewer recordings")
     most = max(MOST_WINDOWS // len(used), FEWEST_OF_EACH)
-    choose = _liveliest if len(used) == 1 else _most_varied
-    fitted = {number: choose(windows, most) for number, windows in used.items()}
+    fitted = {}
+    for number, windows in used.items():
+        whole = float(windows.end[-1]) if len(used) == 1 and len(windows) > most else 0.0
+        fitted[number] = windows.part(liveliest(windows, most, whole / most))
     return Parts(
         fitted=Windows.joined(list(fitted.values())),
         recording=np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),
@@ -194,37 +193,18 @@ def _ranges(signals: Floats) -> Floats:
     return ranges
 
 
-def _liveliest(windows: Windows, most: int) -> Windows:
-    """At most ``most`` windows: from each section of a recording, the one with the longest travel."""
-    if len(windows) <= most:
-        return windows
-    sections, travel = np.array_split(np.arange(len(windows)), most), _ranges(windows.signals)[:, POSITION]
-    return windows.part(np.array([section[travel[section].argmax()] for section in sections]))
+def liveliest(windows: Windows, most: int, section: float = 0.0) -> Indices:
+    """Numbers of at most ``most`` windows in which the sensors' signals vary most, relative to their largest ranges.
 
-
-def _most_varied(windows: Windows, most: int) -> Windows:
-    """At most ``most`` windows: those in which the signals vary most, relative to their largest range in one."""
+    Windows with all commands come first. With a ``section``, s, each of these parts of a recording gives one.
+    """
     ranges = _ranges(windows.signals[:, : len(SENSORS)])
-    activity = (ranges / np.maximum(ranges.max(axis=0), 1e-300)).sum(axis=1)
-    return windows.part(np.sort(np.argsort(-activity, kind="stable")[:most]))
-
-
-def lively(windows: Windows, most: int) -> Indices:
-    """Numbers of the windows with the longest way of the command, which show best whether the model holds."""
-    way = np.nansum(np.abs(np.diff(windows.signals[:, COMMAND], axis=1)), axis=1)
-    return np.sort(np.argsort(-way, kind="stable")[:most])
-
-
-def liveliest(windows: Windows, config: TaskConfig, most: int) -> Windows:
-    """Of each section of a long recording the window in which the signals vary most, and of these the best ``most``."""
-    pressure, command = config.plant.supply.pressure, windows.signals[:, COMMAND]
-    sizes = np.array([config.plant.cylinder.stroke, pressure, pressure, 1.0, 1.0])
-    way = np.nansum(np.abs(np.diff(command, axis=1)), axis=1) / (windows.end - windows.begin)
-    score = np.minimum(_ranges(windows.signals) / sizes, 1.0).sum(axis=1) + np.minimum(way, 1.0)
-    full = (np.abs(command) >= FULL_COMMAND).mean(axis=1) > 0.5
-    order = np.argsort(-(score + UNUSABLE * (full | ~windows.commanded)), kind="stable")
-    _, first = np.unique(windows.begin[order] // SECTION, return_index=True)
-    return windows.part(np.sort(order[np.sort(first)[:most]]))
+    activity = (ranges / np.maximum(ranges.max(axis=0, initial=0.0), 1e-300)).sum(axis=1)
+    order = np.lexsort((-activity, ~windows.commanded))
+    if section:
+        _, first = np.unique(np.floor(windows.begin[order] / section + 1e-6), return_index=True)
+        order = order[np.sort(first)]
+    return np.sort(order[:most])
 
 
 def _with_motion(windows: Windows) -> Mask:

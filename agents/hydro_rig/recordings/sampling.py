@@ -14,9 +14,8 @@ import pandas as pd
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
-from hydro_env.task.sensors import COMMAND, POSITION
+from hydro_env.task.sensors import COMMAND
 from hydro_env.types import Floats, Indices, Mask
-from hydro_rig.recordings.files import interpolated
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.row_distance import (
@@ -100,15 +99,14 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
         findings.append(other_sampling(distance, period, recording.units.get("time", "s")))
         return nothing
     place, jitter = _places(time, distance)
-    moved = False
     if jitter > JITTER[0] * distance:
         usual = f"{1e3 * jitter:.2g} ms (95 %) around one row every {1e3 * distance:.4g} ms"
         findings.append(Finding("time", f"has stamps that jitter by up to {usual}", Weight.NOTE))
     if jitter > JITTER[1] * distance:
-        step = distance
-        if per_period:
-            step = period / per_period
-        time, rows, moved = _without_jitter(time, rows, step, findings)
+        time, kept = _steady(time, distance, findings)
+        rows = rows[:, kept]
+        if _severe(findings):
+            return nothing
         distance = time[1] - time[0]
         place, _ = _places(time, distance)
     _add_gaps(place, time, distance, findings)
@@ -121,7 +119,7 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
     if phase is None or (known[:, chosen].mean(axis=1) < 0.5 * known.mean(axis=1)).any():
         return _own_grid(time, rows, place, distance, findings)
     index = (place[chosen] - place[chosen][:1]) // per_period
-    return index, time[chosen], rows[:, chosen], period, moved
+    return index, time[chosen], rows[:, chosen], period, False
 
 
 def _severe(findings: Sequence[Finding]) -> bool:
@@ -143,20 +141,28 @@ def _in_order(time: Floats, rows: Floats, findings: list[Finding]) -> tuple[Floa
     return time, rows
 
 
-def _without_jitter(time: Floats, rows: Floats, step: float, findings: list[Finding]) -> tuple[Floats, Floats, bool]:
-    """Stamps and rows on a steady clock, piece by piece between pauses; and whether readings are moved."""
+def _steady(time: Floats, distance: float, findings: list[Finding]) -> tuple[Floats, Indices]:
+    """Stamps (n,) of equidistant rows in place of stamps that jitter, and the rows that are kept.
+
+    Short pieces between pauses are left out. Severe: the rows are not equidistant.
+    """
     pieces = np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > PAUSE) + 1)
-    steadied = [_steady(time[piece], rows[:, piece], step) for piece in pieces if len(piece) > TOGETHER]
+    kept = [piece for piece in pieces if len(piece) > TOGETHER]
+    equal = bool(kept)
+    steady = time.copy()
+    for piece in kept:
+        steady[piece] = np.polyval(np.polyfit(piece, time[piece], 1), piece)
+        off = time[piece] - steady[piece]
+        late = [float(np.median(part)) for part in np.array_split(off, len(piece) // TOGETHER + 1)]
+        equal &= np.ptp(late) < APART * distance
     what = findings.pop().what
-    if not steadied:
-        findings.append(Finding("time", f"{what}, in short pieces", Weight.SEVERE))
-        return time, rows, False
-    times, values, moved = zip(*steadied, strict=True)
-    done = "taken as equidistant rows"
-    if any(moved):
-        done = "the readings are interpolated at a steady clock"
-    findings.append(Finding("time", f"{what}; {done}", Weight.NOTE))
-    return np.concatenate(times), np.concatenate(values, axis=1), any(moved)
+    if equal:
+        findings.append(Finding("time", f"{what}; taken as equidistant rows", Weight.NOTE))
+    else:
+        what += ", and the rows are not equidistant: nobody knows when the commands acted"
+        findings.append(Finding("time", what, Weight.SEVERE))
+    chosen = np.concatenate([*kept, np.empty(0, np.int64)])
+    return steady[chosen], chosen
 
 
 def _own_grid(time: Floats, values: Floats, place: Indices, distance: float, findings: list[Finding]) -> _Grid:
@@ -287,25 +293,6 @@ def _add_gaps(place: Indices, time: Floats, distance: float, findings: list[Find
         begin, end = float(time[gaps[0] - 1]), float(time[gaps[0]])
         share, many = float(missing.sum()) / (int(place[-1]) + 1), lost > MOST_LOST_ROWS * (lost + len(place))
         findings.append(Finding("time", what, severe_if(many), begin, end, share))
-
-
-def _steady(time: Floats, rows: Floats, distance: float) -> tuple[Floats, Floats, bool]:
-    """Stamps (n,) and rows (channels, n) on a steady clock, from stamps that jitter; and whether readings are moved.
-
-    Either the rows were taken at equal distances and stamped late, or they were taken at their stamps, and are
-    interpolated: then the position has moved farther where its stamp is late.
-    """
-    place, position = np.arange(len(time)), rows[POSITION]
-    equal = np.asarray(np.polyval(np.polyfit(place, time, 1), place), np.float64)
-    late = [np.median(part) for part in np.array_split(time - equal, len(time) // TOGETHER + 1)]
-    farther = (position[2:] - position[:-2]) * np.diff(time, 2) / (2.0 * distance)
-    stamped = np.nansum(np.diff(position, 2) * farther) > 0.5 * np.nansum(farther**2)
-    if np.ptp(late) < APART * distance and not stamped:
-        return equal, rows, False
-    steady = np.arange(time[0], time[-1], distance)
-    moved = np.array([interpolated(steady, time, values) for values in rows])
-    moved[COMMAND] = rows[COMMAND, np.searchsorted(time, steady)]
-    return steady, moved, True
 
 
 def _phase(place: Indices, command: Floats, rows: int, distance: float, config: TaskConfig) -> int | None:

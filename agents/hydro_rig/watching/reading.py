@@ -27,6 +27,7 @@ from hydro_rig.watching.oil import Oil, referred
 
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
 WINDOW = 2.0  # s
+SECTION = 300.0  # s of a recording, which gives one of them
 FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
 _DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
 
@@ -57,7 +58,8 @@ def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_
     row: dict[str, Any] = {"verdict": Kind.UNKNOWN.value, "temperature": np.nan, **_sizes(Leak(np.nan, np.nan, np.nan))}
     checked = check_recording(recording, config)
     config = on_grid(config, checked.samples.period)
-    chosen = liveliest(cut(bridged(checked.samples)[0], round(WINDOW / config.control_period)), config, most)
+    windows = cut(bridged(checked.samples)[0], round(WINDOW / config.control_period))
+    chosen = windows.part(liveliest(windows, most, SECTION))
     warm = chosen.auxiliary_signal("oil_temperature")
     if np.isfinite(warm).any():
         row["temperature"] = float(np.nanmean(warm))

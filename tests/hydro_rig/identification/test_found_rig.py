@@ -176,7 +176,7 @@ def test_every_number_of_a_rig_is_read_back_from_its_text_with_unit():
     groups: dict[str, list[str]] = {}
     for path, value in values.items():
         group, field = path.split(".")
-        groups.setdefault(group, []).append(f"  {_line(field, _with_unit(path, value, plant))}\n")
+        groups.setdefault(group, []).append(f"  {_line(field, _with_unit(path, value))}\n")
     text = "".join(f"{group}:\n{''.join(lines)}" for group, lines in groups.items())
     for unit in ("bar", "l/min", "Hz", "GPa", "cm³"):
         assert f" {unit}\n" in text

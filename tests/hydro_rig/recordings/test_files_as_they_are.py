@@ -264,9 +264,10 @@ def test_what_stays_out_is_told_in_one_line_with_its_conversion(tmp_path, origin
             read_recording(tmp_path / name)
         with refused("cannot be read: No such file"):
             read_recording(tmp_path / f"no_{name}")
-    (tmp_path / "a.xlsx").touch()
-    with refused(r"convert the file first: pandas.read_excel.*to_parquet"):
-        read_recording(tmp_path / "a.xlsx")
+    for kind in ("xlsx", "mf4", "tdms"):
+        (tmp_path / f"a.{kind}").touch()
+        with refused(r"convert the file first: .*to_parquet"):
+            read_recording(tmp_path / f"a.{kind}")
     (tmp_path / "a.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400))
     with refused(r"v7.3.*in MATLAB: save\('run.mat', '-v7'\)"):
         read_recording(tmp_path / "a.mat")

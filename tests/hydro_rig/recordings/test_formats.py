@@ -1,7 +1,6 @@
-"""Recordings as Parquet and MAT files: written by the libraries themselves, read as the CSV file is."""
+"""MAT files with stamps of each channel, and damaged files."""
 
 import numpy as np
-import pandas as pd
 import pytest
 import scipy.io
 from optional_libraries import library
@@ -13,21 +12,6 @@ from hydro_rig.recordings.recording import read_recording
 
 TIME = np.arange(200) * 0.005
 POSITION, COMMAND = 40.0 * np.sin(3.0 * TIME), np.cos(5.0 * TIME)  # mm, V
-
-
-def same_as_written(path, columns=None):
-    found = read_recording(path, columns)
-    np.testing.assert_allclose(found.time, TIME, atol=1e-9)
-    np.testing.assert_allclose(found.signals[0], 1e-3 * POSITION, rtol=1e-6)
-    np.testing.assert_allclose(found.signals[4], 0.1 * COMMAND, rtol=1e-6)
-    assert not [finding for finding in found.findings if finding.signal in ("time", "position", "command")]
-
-
-def test_parquet(tmp_path):
-    library("pyarrow")
-    table = pd.DataFrame({"time [s]": TIME, "position [mm]": POSITION, "command [V]": COMMAND})
-    table.to_parquet(tmp_path / "a.parquet")
-    same_as_written(tmp_path / "a.parquet")
 
 
 def write_structs(path, position, command):
@@ -72,13 +56,6 @@ def test_readings_of_a_slower_channel_stand_where_their_stamps_are(tmp_path):
 MAP = "time: {column: t, unit: s}\nposition: {column: x, unit: mm}\ncommand: {column: u, unit: V}\n"
 
 
-def test_mat_files_with_a_map(tmp_path):
-    content = {"t": TIME[:, None], "x": POSITION[None], "u": COMMAND[:, None], "note": "text", "gain": 3.0}
-    scipy.io.savemat(tmp_path / "a.mat", content)
-    (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
-    same_as_written(tmp_path / "a.mat", read_map(tmp_path / "map.yaml"))
-
-
 def test_vectors_of_unequal_length_are_told(tmp_path):
     content = {"t": TIME, "u": COMMAND, "x": np.arange(5.0)}
     scipy.io.savemat(tmp_path / "a.mat", content)
@@ -87,24 +64,13 @@ def test_vectors_of_unequal_length_are_told(tmp_path):
         read_recording(tmp_path / "a.mat", read_map(tmp_path / "map.yaml"))
 
 
-@pytest.mark.parametrize(("kind", "name"), [("parquet", "pyarrow"), ("mat", "scipy.io")])
-def test_a_damaged_file_is_told_in_one_line(tmp_path, kind, name):
-    library(name)
-    path = tmp_path / f"a.{kind}"
-    version_7_3 = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
-    for content in (b"no such format" * 20, version_7_3 + bytes(400)):
-        path.write_bytes(content)
-        with pytest.raises(ConfigurationError) as error:
-            read_recording(path)
-        assert str(error.value).startswith(f"{path}: ")
-        assert "\n" not in str(error.value)
-    assert kind != "mat" or "v7.3" in str(error.value)
+def test_a_damaged_file_is_told_in_one_line(tmp_path):
+    library("pyarrow")
+    path = tmp_path / "a.parquet"
+    path.write_bytes(b"no such format" * 20)
+    with pytest.raises(ConfigurationError) as error:
+        read_recording(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
     with refused("cannot be read"):
-        read_recording(tmp_path / f"none.{kind}")
-
-
-def test_files_of_other_kinds_are_refused_with_their_conversion(tmp_path):
-    for kind in ("mf4", "tdms"):
-        (tmp_path / f"a.{kind}").touch()
-        with refused(r"convert the file first: .*to_parquet"):
-            read_recording(tmp_path / f"a.{kind}")
+        read_recording(tmp_path / "none.parquet")

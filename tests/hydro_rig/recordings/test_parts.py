@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from hydro_env import TaskConfig
 from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_rig.recordings.parts import liveliest, parts_of
 from hydro_rig.recordings.sampling import Sampled, cut
@@ -126,12 +125,12 @@ def test_of_each_five_minutes_the_window_with_the_most_motion_is_kept(lost):
     samples = samples_of(124_000)
     busy = (samples.time % 60.0 < 20.0) * (1.0 + (np.abs(samples.time - 310.0) < 5.0))
     samples.signals[POSITION] = 0.02 * busy * np.sin(4.0 * samples.time)
-    samples.signals[COMMAND] = 0.2 * busy * np.sin(4.0 * samples.time)
     if lost:
         samples.signals[COMMAND, (np.abs(samples.time - 310.0) < 10.0) & (samples.time % 2.0 < 0.1)] = np.nan
-    found = liveliest(cut(samples, 400), TaskConfig(), 12)
+    windows = cut(samples, 400)
+    found = windows.part(liveliest(windows, 12, 300.0))
     assert len(found) == 3  # of 0 to 300 s, to 600 s, and to 620 s
     assert found.commanded.all()
     assert (304.0 <= found.begin[1] <= 314.0) == (not lost)
     assert found.begin[1] % 60.0 < 20.0
-    assert len(liveliest(cut(samples, 400), TaskConfig(), 2)) == 2
+    assert len(liveliest(windows, 2, 300.0)) == 2

@@ -156,6 +156,12 @@ CASES = {
         restamped(lambda t: np.sort(t + np.random.default_rng(0).uniform(-4e-3, 4e-3, len(t)))),
         [(NOTE, "ms; taken as equidistant rows")],
     ),
+    "lost rows behind jitter": (
+        lambda r: restamped(lambda t: np.sort(t + np.random.default_rng(0).uniform(-4e-3, 4e-3, len(t))))(
+            rows(lambda n: np.flatnonzero(np.arange(n) % 40 > 0))(r)
+        ),
+        [(SEVERE, "the rows are not equidistant")],
+    ),
     "every second row": (rows(lambda n: slice(0, n, 2)), [(SEVERE, "the commands between the rows are unknown")]),
     "ms as s": (restamped(lambda t: 1e3 * t), [(SEVERE, "stamps in ms instead of s would fit")]),
     "command early": (command_moved(-1), [(NOTE, "moved; 'rows_early: 1' in the map")]),
@@ -287,16 +293,6 @@ def test_a_log_that_does_not_fit_the_control_period_has_a_grid_of_its_own(record
     assert samples.period == pytest.approx(period, rel=1e-4)
     np.testing.assert_allclose(samples.time, period * np.arange(len(recording.time)), atol=1e-3 * period)
     np.testing.assert_array_equal(samples.signals[:4], recording.signals[:4])
-
-
-def test_rows_that_were_taken_at_their_jittering_stamps_are_interpolated(recording):
-    stamps = np.sort(recording.time + np.random.default_rng(1).uniform(-4e-3, 4e-3, len(recording.time)))
-    signals = np.array([np.interp(stamps, recording.time, values) for values in recording.signals])
-    signals[4] = recording.signals[4, np.searchsorted(recording.time[:-1], stamps)]
-    found = check_recording(changed(recording, time=stamps, signals=signals), CONFIG)
-    assert any("interpolated at a steady clock" in finding.line() for finding in found.findings)
-    right = np.interp(found.samples.time, recording.time, recording.signals[0])
-    assert np.nanstd(found.samples.signals[0] - right) < 1e-4  # 5 mm between the samples at 1 m/s
 
 
 def test_windows_keep_gaps_as_missing_samples(recording):
