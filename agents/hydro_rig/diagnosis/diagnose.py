@@ -132,7 +132,7 @@ def diagnose(
         config,
         choose=lambda samples: cut(samples, length),
         read=read,
-        rows=[recording],
+        recording=recording,
         balance=leak_of_blocks(flow_blocks(recording)),
         window=window,
         companion=name_of(companion),

@@ -136,7 +136,7 @@ def read_leak_test(path: Path, config: TaskConfig, columns: ColumnMap | None = N
         config,
         choose=lambda samples: _windows(samples, config),
         read=read,
-        rows=[recording],
+        recording=recording,
         balance=leak_of_blocks(flow_blocks(recording)),
         window=WINDOW,
     )

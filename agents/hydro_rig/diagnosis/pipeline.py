@@ -56,10 +56,9 @@ def judged(
     config: TaskConfig,
     choose: Callable[[Sampled], Windows],
     read: Callable[[Windows], Read],
-    rows: Sequence[Recording],
+    recording: Recording,
     balance: VolumeLeak | None,
     window: float,
-    limits: Limits | None = None,
     companion: str = "",
 ) -> Judged:
     """Fill gaps, choose windows, read them unless a finding is severe, and judge.
@@ -69,13 +68,12 @@ def judged(
         config: the task whose rig was recorded.
         choose: the windows of the samples.
         read: reads them.
-        rows: what was recorded, for the balance.
+        recording: the rows, for the balance.
         balance: the leak from a measured flow; ``None``: no flow was recorded.
         window: s, length of the windows, for the reasons.
-        limits: of leaks; default: those of the task.
         companion: name of the detector beside the estimator.
     """
-    limits = limits or Limits.of(config)
+    limits = Limits.of(config)
     samples, filled = bridged(checked.samples)
     checked = Checked(samples, [*checked.findings, *filled])
     if balance is not None:
@@ -98,12 +96,10 @@ def judged(
     nothing = Reading.of(np.zeros(0))
     readings = result.estimator or nothing, result.companion or nothing
     verdict = judge(Case(checked.findings, *readings, limits, window, residual, companion))
-    if balance is not None:
-        # A balance has no commands: it may decide where the rows do not fit the control period, if nothing else is
-        # severe on a grid of their own.
-        parts = [check_recording(one, config, own_grid=True) for one in rows] if refused else [checked]
-        if not any(part.severe for part in parts):
-            verdict = by_volume(verdict, balance, limits)
+    # A balance has no commands: it may decide where the rows do not fit the control period, if nothing else is severe
+    # on a grid of their own.
+    if balance is not None and not (check_recording(recording, config, own_grid=True) if refused else checked).severe:
+        verdict = by_volume(verdict, balance, limits)
     return Judged(config, checked, windows, result, limits, verdict)
 
 

@@ -18,8 +18,7 @@ from hydro_env import TaskConfig
 from hydro_env.task.configuration import LeakageDraw
 from hydro_env.types import Mask
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
-from hydro_rig.recordings.channels import AXIS
-from hydro_rig.recordings.findings import Finding, Weight, lines_of
+from hydro_rig.recordings.findings import Finding, Weight
 
 MOST = 0.5  # share of the windows that counts as "most"
 CHANGED = 3.0
@@ -134,8 +133,8 @@ class Case:
 
     @property
     def blamed(self) -> str:
-        """A faulty sensor and an axis that oscillates, for reasons: they may be why a model does not hold."""
-        return "; ".join(["", *self.of_weight(Weight.FAULT)[:1], *lines_of(self.findings, AXIS)])
+        """A faulty sensor, for reasons: it may be why a model does not hold."""
+        return "; ".join(["", *self.of_weight(Weight.FAULT)[:1]])
 
     @cached_property
     def leak(self) -> Leak:
@@ -166,7 +165,7 @@ def severe_finding(case: Case) -> Verdict | None:
     if not severe:
         return None
     more = f" (and {len(severe) - 1} more)" if len(severe) > 1 else ""
-    return Verdict(Kind.UNKNOWN, "; ".join([severe[0] + more, *lines_of(case.findings, AXIS)]), None, "")
+    return Verdict(Kind.UNKNOWN, severe[0] + more, None, "")
 
 
 def other_rig(case: Case) -> Verdict | None:

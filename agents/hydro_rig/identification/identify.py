@@ -29,9 +29,8 @@ from hydro_rig.identification.held_back import (
     simulate_held_back,
     whole_parts,
 )
-from hydro_rig.recordings.channels import AXIS
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.findings import Finding, lines_of
+from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.parts import Parts, parts_of
 from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
@@ -162,10 +161,7 @@ class Identification:
 
     def verdict(self) -> str:
         """The result in one sentence."""
-        phrases = self._success() if self.describes else self._failure()
-        for checked in self.checked:
-            phrases += lines_of(checked.findings, AXIS)
-        return "; ".join(phrases)
+        return "; ".join(self._success() if self.describes else self._failure())
 
     def _failure(self) -> list[str]:
         if math.isnan(self.share):
@@ -224,7 +220,7 @@ def identify(
     checked = _on_one_grid(recordings, config)
     for source, one in zip(sources, checked, strict=True):
         if one.severe:
-            raise ConfigurationError(f"{source}: {'; '.join([one.severe[0].line(), *lines_of(one.findings, AXIS)])}")
+            raise ConfigurationError(f"{source}: {one.severe[0].line()}")
     config = on_grid(config, checked[0].samples.period)
     parts = parts_of([one.samples for one in checked], sources, whole)
     config, rig = _with_bent_valve(config, rig, parts)

@@ -1,7 +1,4 @@
-"""Checks of each single channel, missing, constant, stuck, saturated, and impossible values; and of the driving.
-
-A command at its limit tells of the controller rather than of the axis; a set point is no command.
-"""
+"""Checks of each single channel: missing, constant, stuck, saturated, and impossible values; a set point as command."""
 
 from __future__ import annotations
 
@@ -14,7 +11,6 @@ from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SP
 from hydro_env.types import Floats, Mask
 from hydro_rig.recordings.columns import MEASURED, UNITS
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, missing_weight, runs_of, severe_if
-from hydro_rig.recordings.recording import FULL_COMMAND
 from hydro_rig.recordings.sampling import Sampled
 
 LONGEST_LAG = 0.3  # s, by which a position may follow its set point
@@ -42,9 +38,6 @@ LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the
 CURRENTS = (3.6, 21.0)  # mA, of a sensor's signal of 4 to 20 mA, as NAMUR NE 43 has it
 LEAST_BESIDE_CURRENTS = 0.25  # the same where both read like such currents
 OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
-
-AXIS = "axis"  # what findings about the manner of operation are about
-MUCH_AT_FULL_COMMAND = 0.25  # share of samples at full command that is worth a word
 
 
 def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding], Mask]:
@@ -243,15 +236,6 @@ def _shown(signal: str, value: float) -> str:
     """A value in its displayed unit."""
     unit = {"position": "mm", "pressure_a": "bar", "pressure_b": "bar"}.get(signal, "%")
     return f"{value / UNITS[signal][unit]:.4g} {unit}"
-
-
-def check_driving(samples: Sampled) -> list[Finding]:
-    """Find a valve at full command for long."""
-    command = np.abs(samples.signals[COMMAND])
-    full = command >= FULL_COMMAND
-    if (command > OVERRANGE).any() or full.mean() <= MUCH_AT_FULL_COMMAND:  # beyond: the unit is wrong
-        return []
-    return [finding_of(full, samples.time, AXIS, "runs with the command at its limit", Weight.NOTE)]
 
 
 def check_set_point(signals: Floats, period: float) -> Finding | None:

@@ -262,31 +262,25 @@ def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str 
     """The channels in a variable of a MAT file: numbers, or a struct of them, of structs, or of a list of them."""
     if isinstance(value, list):
         for number, part in enumerate(value, 1):
-            label = part.get("label") if isinstance(part, dict) else None
-            yield from _channels_of(str(label or f"{name}.{number}"), part, stamps, unit)
-        return
-    if not isinstance(value, dict):
-        values = _vector(value)
-        if values is None and isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "iuf":
-            if stamps is None and value.shape[0] < value.shape[1] and (np.diff(value[0]) > 0.0).all():
-                stamps, value = value[0].astype(np.float64), value[1:].T  # To File has the time in the first row
-            for number, column in enumerate(value.T, 1):
-                yield from _channels_of(f"{name}.{number}", column, stamps, unit)
-        elif values is not None and (stamps is None or len(values) == len(stamps)):
-            yield f"{name} [{unit}]" if unit else name, values, stamps
-        return
-    for key, part in value.items():
-        if key.lower() in TIMES and _vector(part) is not None:
-            stamps = _vector(part)
-        if key.lower() in ("unit", "units") and isinstance(part, str):
-            unit = part
-    for key, part in value.items():
-        if key.lower() not in TIMES or _vector(part) is None:
-            yield from _channels_of(name if key.lower() in CONTENTS else f"{name}.{key}", part, stamps, unit)
+            yield from _channels_of(f"{name}.{number}", part, stamps, unit)
+    elif isinstance(value, dict):
+        fields = {key.lower(): part for key, part in value.items()}
+        times = [np.ravel(fields[key]).astype(np.float64) for key in TIMES if _are_numbers(fields.get(key))]
+        stamps = times[0] if times else stamps
+        unit = str(fields.get("unit", fields.get("units", unit)))
+        for key, part in value.items():
+            if key.lower() not in TIMES:
+                yield from _channels_of(name if key.lower() in CONTENTS else f"{name}.{key}", part, stamps, unit)
+    elif _are_numbers(value):
+        table = value.astype(np.float64).reshape(len(value), -1)
+        if stamps is None and 1 < table.shape[0] < table.shape[1] and (np.diff(table[0]) > 0.0).all():
+            stamps, table = table[0], table[1:].T  # To File has the time in the first row
+        for number, column in enumerate(table.T, 1):
+            if stamps is None or len(column) == len(stamps):
+                heading = name if table.shape[1] == 1 else f"{name}.{number}"
+                yield f"{heading} [{unit}]" if unit else heading, column, stamps
 
 
-def _vector(value: Any) -> Floats | None:
-    """Numbers (n,), n at least 2; ``None``: something else."""
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf":
-        return None
-    return np.ravel(value).astype(np.float64) if value.size == max(value.shape, default=0) > 1 else None
+def _are_numbers(value: Any) -> bool:
+    """Whether a part of a MAT file is a vector or a matrix of numbers."""
+    return isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and value.ndim in (1, 2) and value.size > 1

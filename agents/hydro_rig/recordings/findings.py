@@ -46,9 +46,9 @@ class Finding(NamedTuple):
         return ", ".join(parts)
 
 
-def lines_of(findings: Iterable[Finding], about: str = "") -> list[str]:
-    """The findings in a line each: all, or those about one signal."""
-    return [finding.line() for finding in findings if about in ("", finding.signal)]
+def lines_of(findings: Iterable[Finding]) -> list[str]:
+    """The findings in a line each."""
+    return [finding.line() for finding in findings]
 
 
 def runs_of(mask: Mask) -> tuple[Indices, Indices]:

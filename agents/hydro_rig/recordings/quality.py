@@ -27,7 +27,7 @@ from hydro_env.task.paces import periods_late
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_driving, check_set_point
+from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_set_point
 from hydro_rig.recordings.files import interpolated
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
 from hydro_rig.recordings.recording import Recording
@@ -107,7 +107,6 @@ def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig
         return Checked(samples, [*findings, set_point])
     samples, beyond = _within_full_scale(samples)
     findings += beyond
-    findings += check_driving(samples)
     of_channels, bad = check_channels(samples, config)
     findings += of_channels
     samples = samples._replace(signals=np.where(bad, np.nan, samples.signals))

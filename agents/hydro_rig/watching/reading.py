@@ -79,7 +79,7 @@ def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_
         return Read(measured._replace(**sizes), fitted=fitted)
 
     found = judged(
-        checked, config, choose=lambda _: chosen, read=read, rows=[recording], balance=balance, window=WINDOW
+        checked, config, choose=lambda _: chosen, read=read, recording=recording, balance=balance, window=WINDOW
     )
     verdict = found.verdict
     if verdict.detector == BALANCE and verdict.leak is not None:

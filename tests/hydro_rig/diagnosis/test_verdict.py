@@ -13,7 +13,6 @@ LIMITS = Limits(0.03, 0.1)
 NO_PRESSURES = [Finding(f"pressure_{chamber}", "", Weight.NOTE, absent=True) for chamber in "ab"]
 NOTE = Finding("time", "has a gap of 200 ms", Weight.NOTE)
 STUCK = Finding("pressure_a", "is stuck at one value", Weight.FAULT)
-OSCILLATES = Finding("axis", "oscillates at 18 Hz", Weight.NOTE)
 WRONG = Finding("position", "reads metres", Weight.SEVERE)
 DIFFERS = Finding("model", "differs slowly from several signals", Weight.DOUBT)
 
@@ -54,14 +53,6 @@ CASES = {
         Kind.UNKNOWN,
         "besides worn edges, but without pressures",
     ),
-    "severe finding of an axis that oscillates": (
-        [WRONG, OSCILLATES],
-        None,
-        None,
-        Kind.UNKNOWN,
-        "cannot tell: position reads metres; axis oscillates at 18 Hz",
-    ),
-    "model misfits an axis that oscillates": ([OSCILLATES], misfit(), None, Kind.UNKNOWN, "axis oscillates at 18 Hz"),
     "notes change nothing": ([NOTE], LEAK, None, Kind.LEAK, ""),
     "differs slowly, seems tight": ([DIFFERS], HEALTHY, None, Kind.HEALTHY, "although the model differs slowly"),
     "differs slowly, a fault would fit": (

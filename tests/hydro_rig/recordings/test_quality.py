@@ -6,7 +6,6 @@ from recorded import CONFIG, changed, healthy
 
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
-from hydro_rig.recordings.channels import check_driving
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.quality import balance, check_recording, flow_into_a
 from hydro_rig.recordings.recording import Recording
@@ -316,14 +315,6 @@ def test_single_lost_commands_are_filled_in_from_the_signals_around_them(recordi
     assert np.abs(error).max() < 0.5 * spread
     assert np.isnan(samples.signals[:4, np.searchsorted(samples.place, lost)]).all()
     assert cut(samples, 300).commanded.tolist() == [True, True, True, False]
-
-
-@pytest.mark.parametrize(("volts", "words"), [(3.0, []), (50.0, ["axis runs with the command at its limit"])])
-def test_a_valve_at_its_limit_for_long_is_named(recording, volts, words):
-    signals = recording.signals.copy()
-    signals[4] = np.clip(0.1 * volts * np.sin(100.0 * recording.time), -1.0, 1.0)
-    found = check_driving(sampled(changed(recording, signals=signals), CONFIG))
-    assert [finding.line().partition(",")[0] for finding in found] == words
 
 
 @pytest.mark.parametrize("own_grid", [False, True])
