@@ -70,7 +70,7 @@ def estimate(
         if name not in known:
             raise ConfigurationError(f"first: '{name}' is not among the unknowns")
         guess[:, model.names.index(name)] = values
-    problem, scaled = Problem.of(model, usable_readings(windows, config, model)), model.scaled(guess)
+    problem, scaled = Problem(model, usable_readings(windows, config, model)), model.scaled(guess)
     parts, together = [], max(SAMPLES_PER_BATCH // windows.shape[2], 1)
     for rows in np.split(np.arange(len(windows)), range(together, len(windows), together)):
         parts.append(search(problem.part(rows), scaled[rows], settings))

@@ -56,9 +56,9 @@ def bound(
         threads: worker threads; ``None`` takes one per core.
     """
     model, scaled = true_model(config, windows, priors, threads)
-    problem, place = Problem.of(model, usable_readings(windows.signals, config, model)), model.names.index(name)
+    problem, place = Problem(model, usable_readings(windows.signals, config, model)), model.names.index(name)
     linear = problem.linearised(scaled, steps_at(model, scaled), central=True)
-    deviation: Floats = np.sqrt(linear.covariance(problem.belief)[:, place, place])
+    deviation: Floats = np.sqrt(linear.covariance()[:, place, place])
     return deviation * model.derivative(scaled)[:, place]
 
 

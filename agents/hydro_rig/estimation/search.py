@@ -157,13 +157,13 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
     """
     model, linear = problem.model, problem.linearised(scaled, directions)
     errors = problem.errors or Errors.of_data_sheet(*linear.known.shape[:2])
-    covariance = doubtful = linear.covariance(problem.belief)
+    covariance = doubtful = linear.covariance()
     if problem.errors is not None:
         count, samples = linear.known.sum(axis=2), linear.known.shape[2]
         as_white = problem._replace(errors=errors.as_white(count, samples)).linearised(scaled, directions)
-        by_data_sheet = problem._replace(errors=None).linearised(scaled, directions).covariance(problem.belief)
+        by_data_sheet = problem._replace(errors=None).linearised(scaled, directions).covariance()
         square = errors.of_model(samples) * (count * errors.slow**2).sum(axis=1)
-        doubtful = as_white.covariance(problem.belief) + (square / HALF_WIDTH**2)[:, None, None] * by_data_sheet
+        doubtful = as_white.covariance() + (square / HALF_WIDTH**2)[:, None, None] * by_data_sheet
     values = model.values(scaled)
     timing: dict[str, Any] = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
     timing |= {name: values[:, model.names.index(name)] for name in timing if name in model.names}

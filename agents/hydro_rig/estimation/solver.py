@@ -29,50 +29,21 @@ BLOCK = 20  # number of samples per block; the mean residual of each block is te
 NONE_SHARED: Indices = np.empty(0, np.int64)
 
 
-class Belief(NamedTuple):
-    """A normal distribution of the scaled unknowns of B windows."""
-
-    mean: Floats  # (B, P)
-    precision: Floats  # (B, P, P), the inverse of the covariance
-
-    @classmethod
-    def of_priors(cls, model: Model) -> Belief:
-        """The priors: scaled unknowns are independent, with mean 0 and standard deviation 1."""
-        count, unknowns = model.count, len(model.names)
-        return cls(np.zeros((count, unknowns)), np.tile(np.eye(unknowns), (count, 1, 1)))
-
-    def without(self, shared: Indices) -> Belief:
-        """The belief with precision 0 of the shared unknowns: they have one prior, not one per window."""
-        own = self.precision.copy()
-        own[:, shared] = own[:, :, shared] = 0.0
-        return Belief(self.mean, own)
-
-
 class Problem(NamedTuple):
-    """B windows whose readings a model shall explain."""
+    """B windows whose readings a model shall explain; its scaled unknowns have independent priors around 0, of 1."""
 
     model: Model
     measured: Floats  # readings over their noise, (B, channels, T); NaN is left out
-    belief: Belief  # what is known about the scaled unknowns without the readings
     errors: Errors | None = None  # of the readings; None: white noise as in the data sheet
-
-    @classmethod
-    def of(cls, model: Model, measured: Floats) -> Problem:
-        """The problem without further knowledge than the priors."""
-        return cls(model, measured, Belief.of_priors(model))
 
     def part(self, windows: Indices) -> Problem:
         """Some of the windows."""
-        belief = Belief(*(values[windows] for values in self.belief))
         errors = None if self.errors is None else self.errors.part(windows)
-        return Problem(self.model.part(windows), self.measured[windows], belief, errors)
+        return Problem(self.model.part(windows), self.measured[windows], errors)
 
     def with_more(self, priors: Mapping[str, Prior]) -> Problem:
         """The same windows with more unknowns behind the others."""
-        model, own = self.model.with_priors(self.model.priors | dict(priors)), len(self.model.names)
-        belief = Belief.of_priors(model)
-        belief.mean[:, :own], belief.precision[:, :own, :own] = self.belief
-        return Problem(model, self.measured, belief, self.errors)
+        return self._replace(model=self.model.with_priors(self.model.priors | dict(priors)))
 
     def residual(self, scaled: Floats, samples: int | None = None) -> Floats:
         """Readings minus model, (B, R, channels, T), whitened, for scaled unknowns (B, R, P); 0: no reading."""
@@ -107,24 +78,24 @@ class Linearised(NamedTuple):
     weight: Floats  # (B, readings), 1 over the mean square of its channel's residuals, at most 1
     known: Mask  # (B, channels, T), readings that exist
 
-    def covariance(self, belief: Belief) -> Floats:
-        """Covariance of the unknowns, (B, P, P), given these readings and the belief."""
-        information = self.jacobian @ self.jacobian.transpose(0, 2, 1) + belief.precision
+    def covariance(self) -> Floats:
+        """Covariance of the unknowns, (B, P, P), given these readings and the priors."""
+        information = self.jacobian @ self.jacobian.transpose(0, 2, 1) + np.eye(self.jacobian.shape[1])
         return np.asarray(np.linalg.inv(information), dtype=np.float64)
 
-    def equations(self, scaled: Floats, belief: Belief, shared: Indices) -> Equations:
+    def equations(self, scaled: Floats, shared: Indices) -> Equations:
         """Normal equations of each window, and those of the shared unknowns after its others are eliminated.
 
         Args:
             scaled: unknowns, (B, P).
-            belief: about them, from :meth:`Belief.without`.
-            shared: indices of the shared unknowns, (p,).
+            shared: indices of the shared unknowns, (p,), which have their prior once for all windows.
         """
-        weighted, jacobian, precision = self.weight[:, None] * self.jacobian, self.jacobian, belief.precision
-        curvature = jacobian @ weighted.transpose(0, 2, 1) + precision
-        pull = (precision @ (scaled - belief.mean)[:, :, None])[:, :, 0]
-        gradient = (jacobian @ (self.weight * self.residual)[:, :, None])[:, :, 0] - pull
-        own = np.delete(np.arange(len(curvature[0])), shared)
+        weighted, jacobian = self.weight[:, None] * self.jacobian, self.jacobian
+        own = np.delete(np.arange(jacobian.shape[1]), shared)
+        curvature = jacobian @ weighted.transpose(0, 2, 1)
+        gradient = (jacobian @ (self.weight * self.residual)[:, :, None])[:, :, 0]
+        curvature[:, own, own] += 1.0
+        gradient[:, own] -= scaled[:, own]
         _, information, score = _eliminated(curvature[:, own[:, None], own], curvature, gradient, shared, own)
         return Equations(curvature, gradient, information, score, shared, own)
 
@@ -172,13 +143,12 @@ def fit(
     plausible range until the model explains the readings.
 
     Args:
-        problem: B windows; shared unknowns have their prior once for all, and not the belief of the problem.
+        problem: B windows.
         first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
         effort: of the search.
         samples: number of first samples that are used; ``None``: all.
         shared: indices of the unknowns that all windows have in common.
     """
-    problem = problem._replace(belief=problem.belief.without(shared))
     scaled, level, active = first.copy(), np.full(len(first), 1e-2), np.arange(len(first))
     directions = np.empty((len(first), *[len(problem.model.simulated)] * 2))
     for iteration in range(effort.iterations):
@@ -186,13 +156,13 @@ def fit(
             tell(effort.phase, iteration, effort.iterations)
         here, part = scaled[active], problem.part(active)
         linear = part.linearised(here, directions[active] if iteration else None, samples)
-        equations = linear.equations(here, part.belief, shared)
+        equations = linear.equations(here, shared)
         directions[active] = part.model.directions(equations.precision, effort.step)
-        cost = _cost(linear.weight, linear.residual**2, here, part.belief, shared)
+        cost = _cost(linear.weight, linear.residual**2, here, shared)
 
         trials = here[:, None] + _damped_steps(equations, here, level[active])  # (B, dampings, P)
         square = part.residual(trials, samples).reshape(*trials.shape[:2], -1) ** 2
-        costs = _cost(linear.weight[:, None], square, trials, part.belief, shared)
+        costs = _cost(linear.weight[:, None], square, trials, shared)
         costs = np.where(np.isfinite(costs), costs, np.inf)
         row, best = np.arange(len(active)), costs.argmin(axis=1)
         better = costs[row, best] < cost
@@ -244,14 +214,13 @@ def _damped_steps(equations: Equations, scaled: Floats, level: Floats) -> Floats
     return steps
 
 
-def _cost(weight: Floats, square: Floats, scaled: Floats, belief: Belief, shared: Indices) -> Floats:
+def _cost(weight: Floats, square: Floats, scaled: Floats, shared: Indices) -> Floats:
     """Cost of each window and trial, (B, …): weighted squares and prior; the sum of all windows if they share."""
-    mean, precision = belief
-    away = scaled - mean if scaled.ndim == 2 else scaled - mean[:, None]
-    pull = (precision @ away[:, :, None])[:, :, 0] if away.ndim == 2 else away @ precision
-    costs: Floats = (weight * square).sum(axis=-1) + (away * pull).sum(axis=-1)
+    prior = scaled**2
+    costs: Floats = (weight * square).sum(axis=-1) + prior.sum(axis=-1)
     if len(shared):
-        costs = np.broadcast_to(costs.sum(axis=0) + (scaled[0][..., shared] ** 2).sum(axis=-1), costs.shape)
+        of_shared = prior[..., shared].sum(axis=-1)
+        costs = np.broadcast_to((costs - of_shared).sum(axis=0) + of_shared[0], costs.shape)
     return costs
 
 

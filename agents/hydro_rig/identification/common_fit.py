@@ -18,7 +18,7 @@ from hydro_rig.estimation.estimate import estimate, usable_readings
 from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.result import Estimate
-from hydro_rig.estimation.search import LARGEST_MISFIT, EstimationSettings, search, timing_priors
+from hydro_rig.estimation.search import LARGEST_MISFIT, EstimationSettings, timing_priors
 from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of
 from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, RISE_TIME, Prior, prior_of
 
@@ -117,10 +117,9 @@ def fit_together(problem: Problem, first: Floats) -> Joint:
     """
     shared, own = shared_and_own(problem.model)
     scaled, directions = descend(problem, first, FINE)
-    belief = problem.belief.without(shared)
     for _ in range(LINEARISATIONS):
         linear = problem.linearised(scaled, directions, central=True)
-        equations = linear.equations(scaled, belief, shared)
+        equations = linear.equations(scaled, shared)
         directions = problem.model.directions(equations.precision, LONG_STEP)
     misfit = misfit_of(linear, np.linalg.inv(equations.precision))
     curvature = equations.curvature[:, own]
@@ -147,7 +146,7 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
     best = _common_fit(windows, config, priors, alone)
     if best.explained < len(windows):
         again = np.flatnonzero(~(best.misfit < WELL_FITTED))
-        other = _nearby(windows.part(again), config, best, alone.scaled[again])
+        other = _nearby(windows.part(again), config, best)
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
             second = _common_fit(windows, config, priors, alone)
             best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
@@ -188,17 +187,20 @@ def _continued(found: Common, more: Mapping[str, Prior]) -> Common:
 def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> Problem:
     """Some windows, and the model of them."""
     model = Model(config, priors, windows.signals[:, -1], boundary=windows.boundary)
-    return Problem.of(model, usable_readings(windows.signals, config, model))
+    return Problem(model, usable_readings(windows.signals, config, model))
 
 
-def _nearby(windows: Windows, config: TaskConfig, found: Common, first: Floats) -> Estimate:
-    """Windows that common values do not explain, fitted near these values; ``first``: where they ended, scaled."""
-    joint, problem = found.joint, replayed(windows, config, found.model.priors)
-    problem.belief.mean[:, joint.shared] = joint.common
-    problem.belief.precision[:, joint.shared[:, None], joint.shared] = joint.precision / LOOSENED
-    first = first.copy()
-    first[:, joint.shared] = joint.common
-    return search(problem, first, ROUGHLY)
+def _nearby(windows: Windows, config: TaskConfig, found: Common) -> Estimate:
+    """Windows that common values do not explain, each fitted near these values."""
+    joint, model = found.joint, found.model
+    priors = dict(model.priors)
+    spread = np.minimum(np.sqrt(LOOSENED * np.diag(joint.covariance)), 1.0)
+    for place, value, share in zip(joint.shared.tolist(), joint.common, spread.tolist(), strict=True):
+        own = priors[model.names[place]]
+        priors[model.names[place]] = Prior(float(own.value(value)), share * own.deviation, own.logarithmic)
+    near = estimate(windows.signals, config, list(priors), priors=priors, settings=ROUGHLY, boundary=windows.boundary)
+    near.scaled[:] = model.scaled(near.values)
+    return near
 
 
 def _common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], alone: Estimate) -> Common:

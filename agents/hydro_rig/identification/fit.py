@@ -111,10 +111,11 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
     priors = {model.names[place]: model.priors[model.names[place]] for place in joint.shared}
     spread, ends = spread_of(joint, recording), range_ends(config, ranges, priors)
     reach, flat = reaches(common.problem, joint, spread, ends)
+    reach = np.minimum(reach, COVERAGE)
     unknowns = []
     for row, (name, prior) in enumerate(priors.items()):
-        value, left = joint.common[row], float(np.minimum(reach[row].mean() / COVERAGE, 1.0))
-        low, high = value + np.minimum(reach[row], COVERAGE) * (-1.0, 1.0)
+        value, left = joint.common[row], float(reach[row].mean() / COVERAGE)
+        low, high = value + reach[row] * (-1.0, 1.0)
         if flat[row].any():
             value, left = _beside(value, flat[row], prior.scaled(own_value(config.plant, name))), 1.0
             low, high = ends[row]

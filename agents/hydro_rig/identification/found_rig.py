@@ -121,13 +121,12 @@ def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dic
 def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
     """Range of the resistance of the leak past the rod seal; ``low``, ``high`` in l/min at 100 bar."""
     least, most = sorted(given.bounds(1.0))
-    low, high = max(low, 0.0), max(high, 0.0)
-    resistances = (max(resistance_from_flow(high), least), min(resistance_from_flow(low), most))
-    if not resistances[0] <= resistances[1]:  # beyond the old range
-        resistances = (resistance_from_flow(high), resistance_from_flow(low))
-    if high <= 0.0 or not math.isfinite(resistances[1]) or resistances[0] > most:
+    ends = tuple(resistance_from_flow(max(flow, 0.0)) for flow in (high, low))
+    if ends[0] > most:  # tight
         return {"log_uniform": _rounded((least, most)), "otherwise": math.inf, "otherwise_probability": 1.0}
-    found: dict[str, Any] = {"log_uniform": _rounded(resistances)}
+    if ends[1] >= least:  # else it leaks more than the old range allows
+        ends = max(ends[0], least), min(ends[1], most)
+    found: dict[str, Any] = {"log_uniform": _rounded((ends[0], ends[1]))}
     if low <= 0.0 and given.otherwise is not None:  # it may be tight
         found |= {"otherwise": given.otherwise, "otherwise_probability": given.otherwise_probability}
     return found

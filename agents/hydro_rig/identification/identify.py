@@ -268,10 +268,8 @@ def _matching(paths: Sequence[Path], patterns: Sequence[str]) -> set[int]:
 def _on_one_grid(recordings: Sequence[Recording], config: TaskConfig) -> list[Checked]:
     """The checked recordings with one sample time: the control period, or that of the logs where one lacks it."""
     checked = [check_recording(recording, config) for recording in recordings]
-    periods = {one.samples.period for one in checked}
-    for number, one in enumerate(checked):
-        if len(periods) > 1 and not one.severe and one.samples.period == config.control_period:
-            checked[number] = check_recording(recordings[number], config, own_grid=True)
+    if len({one.samples.period for one in checked if not one.severe}) > 1:
+        checked = [check_recording(recording, config, own_grid=True) for recording in recordings]
     first = checked[0].samples.period
     for recording, one in zip(recordings, checked, strict=True):
         if one.samples.period != first and not any(each.severe for each in checked):

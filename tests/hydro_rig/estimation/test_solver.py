@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from hydro_rig.estimation.estimate import usable_readings
 from hydro_rig.estimation.first_guess import first_values
 from hydro_rig.estimation.model import Model
-from hydro_rig.estimation.solver import NONE_SHARED, Belief, Effort, Linearised, Problem, fit
+from hydro_rig.estimation.solver import NONE_SHARED, Effort, Linearised, Problem, fit
 from hydro_rig.estimation.unknowns import STARTS, priors_of
 from hydro_rig.identification.common_fit import fit_together
 
@@ -19,7 +19,7 @@ def problem_of(leak, seeds, unknowns=None):
     priors = priors_of(CONFIG, unknowns)
     model = Model(CONFIG, priors, signals[:, -1], physical=physical)
     guess = model.scaled(first_values(signals, CONFIG, priors))
-    return Problem.of(model, usable_readings(signals, CONFIG, model)), guess
+    return Problem(model, usable_readings(signals, CONFIG, model)), guess
 
 
 def by_scipy(problem, roots, places, start):
@@ -42,7 +42,7 @@ def by_scipy(problem, roots, places, start):
 def final_equations(problem, scaled, shared):
     """Normal equations and roots of the weights at the end of a fit."""
     linear = problem.linearised(scaled)
-    return linear.equations(scaled, problem.belief.without(shared), shared), linear.weight**0.5
+    return linear.equations(scaled, shared), linear.weight**0.5
 
 
 def test_five_windows_end_in_the_minimum_that_scipy_finds():
@@ -90,8 +90,7 @@ def test_eliminating_the_starts_leaves_the_information_of_the_whole_problem():
     jacobian = random.standard_normal((windows, 5, readings))
     residual = random.standard_normal((windows, readings))
     weight = random.uniform(0.2, 1.0, (windows, readings))
-    belief = Belief(np.zeros((windows, 5)), np.tile(np.eye(5), (windows, 1, 1))).without(shared)
-    reduced = Linearised(residual, jacobian, weight, None).equations(np.zeros((windows, 5)), belief, shared)
+    reduced = Linearised(residual, jacobian, weight, None).equations(np.zeros((windows, 5)), shared)
     dense = np.zeros((3 + 2 * windows, 3 + 2 * windows))
     right = np.zeros(len(dense))
     for window in range(windows):

@@ -118,7 +118,7 @@ def fit_at(model, limit):
     slope = 0.5 * (1.0 if limit < model.edge else 0.0) + 0.5 * (1.0 if limit <= model.edge else 0.0)
     jacobian = np.tile(20.0 * np.stack([slope * model.time, np.ones(READINGS)]), (WINDOWS, 1, 1))
     information = jacobian @ jacobian.transpose(0, 2, 1)
-    return Problem(model, measured, None), joint_of(scaled[0], information, np.zeros((WINDOWS, 2)))
+    return Problem(model, measured), joint_of(scaled[0], information, np.zeros((WINDOWS, 2)))
 
 
 @pytest.mark.parametrize("step", [0.5, 2.0])
