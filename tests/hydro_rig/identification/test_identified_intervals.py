@@ -154,7 +154,7 @@ def test_a_rise_time_that_the_task_does_not_say_is_found(tmp_path):
 
 
 def test_a_slew_limit_above_the_spools_speed_is_not_determined(tmp_path):
-    """In slow moves the spool stays far below its limit: the file keeps its value and its range."""
+    """In slow moves the spool stays far below its limit: the file keeps its range."""
     ranges = {"valve.slew_limit": {"log_factor": [0.05, 2.0]}}
     config = task_config("as_given", randomisation=ranges, episode_duration=5.0)
     fit = fit_of(tmp_path / "a.csv", config, (4, 200))
@@ -162,6 +162,6 @@ def test_a_slew_limit_above_the_spools_speed_is_not_determined(tmp_path):
     assert not fit.knows(limit)
     assert fit.knows(fit.unknowns[fit.names.index("leakage_flow_lpm")])
     own = config.plant.valve.slew_limit
-    assert own <= found_values(fit, config)["valve.slew_limit"] <= 2.0 * own
+    assert 0.2 * own <= found_values(fit, config)["valve.slew_limit"] <= 2.0 * own  # no limit that the motion crosses
     kept = narrowed(fit, config, config.randomisation)["valve.slew_limit"]["log_uniform"]
     assert kept == pytest.approx([0.05 * own, 2.0 * own], rel=1e-4)

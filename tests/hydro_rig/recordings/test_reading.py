@@ -125,7 +125,7 @@ def test_equidistant_rows_lie_as_far_apart_as_rounded_stamps_tell(tmp_path, case
     recording = read_recording(file, read_map(columns))
     assert any("taken as equidistant" in finding.line() for finding in recording.findings)
     found = sampled(recording, TaskConfig())
-    assert found.period == pytest.approx(0.005 if distance < 0.002 else distance, rel=0.01 * (distance == 1.0 / 204.8))
+    assert found.period == pytest.approx(distance, rel=0.01 * (distance == 1.0 / 204.8))
 
 
 @pytest.mark.parametrize(("mark", "separator"), [("%", " "), ("# ", ","), ("% ", "\t")])
