@@ -29,6 +29,8 @@ JITTER = (0.05, 0.4)
 """Jitter of time stamps, as a fraction of the row distance: limit for a note, and limit beyond which stamps do not tell
 the place of a row."""
 
+GAP = 4.0  # distance of rows with stamps that jitter, in usual ones, beyond which rows are missing between them
+
 TOGETHER, APART = 100, 0.5
 """Rows are equidistant if the median of the stamps of so many of them leaves a steady clock by less than this share of
 the row distance."""
@@ -144,9 +146,9 @@ def _in_order(time: Floats, rows: Floats, findings: list[Finding]) -> tuple[Floa
 def _steady(time: Floats, distance: float, findings: list[Finding]) -> tuple[Floats, Indices]:
     """Stamps (n,) of equidistant rows in place of stamps that jitter, and the rows that are kept.
 
-    Short pieces between pauses are left out. Severe: the rows are not equidistant.
+    Short pieces between gaps are left out. Severe: the rows are not equidistant.
     """
-    pieces = np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > PAUSE) + 1)
+    pieces = np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > GAP * distance) + 1)
     kept = [piece for piece in pieces if len(piece) > TOGETHER]
     equal = bool(kept)
     steady = time.copy()

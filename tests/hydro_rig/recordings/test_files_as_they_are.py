@@ -223,6 +223,7 @@ FILES = {
 
 SLASHES = "time has dates with slashes; the first is read as "
 NOTES = {
+    "labview_without_stamps.lvm": ["time is taken as equidistant, one row every 5 ms, as the map says"],
     "american.csv": [SLASHES + "10 March 2026"],
     "british.csv": [SLASHES + "13 March 2026"],
     "daqami.csv": [SLASHES + "10 March 2026"],

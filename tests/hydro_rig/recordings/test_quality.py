@@ -41,6 +41,12 @@ def restamped(stamp):
     return lambda r: changed(r, time=stamp(r.time))
 
 
+def late(recording):
+    """With stamps that come up to 4 ms early or late."""
+    random = np.random.default_rng(0)
+    return changed(recording, time=np.sort(recording.time + random.uniform(-4e-3, 4e-3, len(recording.time))))
+
+
 def command_moved(by):
     def change(recording):
         signals = recording.signals.copy()
@@ -152,13 +158,15 @@ CASES = {
         [(NOTE, "time has stamps that jitter")],
     ),
     "great jitter": (
-        restamped(lambda t: np.sort(t + np.random.default_rng(0).uniform(-4e-3, 4e-3, len(t)))),
+        lambda r: late(r),
         [(NOTE, "ms; taken as equidistant rows")],
     ),
-    "lost rows behind jitter": (
-        lambda r: restamped(lambda t: np.sort(t + np.random.default_rng(0).uniform(-4e-3, 4e-3, len(t))))(
-            rows(lambda n: np.flatnonzero(np.arange(n) % 40 > 0))(r)
-        ),
+    "a gap in stamps that jitter": (
+        lambda r: rows(lambda n: np.r_[0:500, 520:n])(late(r)),
+        [(NOTE, "ms; taken as equidistant rows"), (NOTE, "time has a gap of 100 ms")],
+    ),
+    "a lost row behind jitter": (
+        lambda r: late(rows(lambda n: np.r_[0:500, 502:n])(r)),
         [(SEVERE, "the rows are not equidistant")],
     ),
     "every second row": (rows(lambda n: slice(0, n, 2)), [(SEVERE, "the commands between the rows are unknown")]),
