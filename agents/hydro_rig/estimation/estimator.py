@@ -7,8 +7,8 @@ nameplate tells: the simpler model gives the leak more precisely. A window at re
 valve is like, so that its leak keeps the uncertainty of the wear.
 
 Where the residuals are not mere noise, the parts are tried that the file of a rig does not tell
-(:mod:`hydro_rig.estimation.structure`): a supply that moves, another load, a second mass, a seal that yields, waves in
-the lines. What none of them explains widens the interval.
+(:mod:`hydro_rig.estimation.structure`): a supply that moves, another load, a second mass, a seal that yields. What none
+of them explains widens the interval. Waves in the lines are in the model where the rig's file tells their lengths.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ class Model:
         self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
         starts = np.array([self.names[place] in STARTS for place in self.simulated], np.bool_)
         own = self.config.plant.structure
-        self.structure = Structure(own.lines or "lines.length_a" in priors, own.tip or "load.tip_share" in priors)
+        self.structure = Structure(own.lines, own.tip or "load.tip_share" in priors)
         self._first_steps = np.where(starts, FIRST_START_STEP, FIRST_STEP)
 
     @property

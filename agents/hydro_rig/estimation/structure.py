@@ -25,7 +25,6 @@ LEAST_GAIN_OF_STEP = 3.0  # the same per step of a moving supply: each changes a
 MOST_PARTS = 3  # of one window
 
 YIELD = 1e-4  # m, median of the way that a seal yields before it slides
-LINE = 1.0  # m, median of the length of a line that has one
 
 
 class Part(StrEnum):
@@ -35,7 +34,6 @@ class Part(StrEnum):
     LOAD = "a load that differs with its place"
     SEAL = "a seal that yields before it slides"
     TIP = "a second mass behind a spring"
-    LINES = "waves in the lines"
 
 
 LAP, USUAL_LAP = "valve.overlap", 0.01
@@ -78,8 +76,6 @@ def lacking(task: TaskConfig, duration: float, supply_recorded: bool) -> dict[Pa
         "start.tip_velocity": prior_of(task, "start.tip_velocity"),
     }
     found = {}
-    if plant.lines.volume_a > 0.0 and not plant.structure.lines:
-        found[Part.LINES] = Lacking({f"lines.length_{side}": Prior(LINE, 0.7, True) for side in "ab"})
     if not plant.structure.tip:
         found[Part.TIP] = Lacking(tip)
     found[Part.LOAD] = Lacking(load)
