@@ -26,7 +26,7 @@ from hydro_rig.estimation.unknowns import (
     starts_of,
 )
 from hydro_rig.identification.common_fit import WELL_FITTED, Common, Joint, common_fit
-from hydro_rig.identification.intervals import range_ends, reaches, spread_of, truncated_end, within_bounds
+from hydro_rig.identification.intervals import possible_ends, range_ends, spread_of, truncated_end, within_bounds
 
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 DETERMINED = 0.5
@@ -110,12 +110,11 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
     joint, model = common.joint, common.model
     priors = {model.names[place]: model.priors[model.names[place]] for place in joint.shared}
     spread, ends = spread_of(joint, recording), range_ends(config, ranges, priors)
-    reach, flat = reaches(common.problem, joint, spread, ends)
-    reach = np.minimum(reach, COVERAGE)
+    flat = possible_ends(common.problem, joint, spread, ends)
     unknowns = []
     for row, (name, prior) in enumerate(priors.items()):
-        value, left = joint.common[row], float(reach[row].mean() / COVERAGE)
-        low, high = value + reach[row] * (-1.0, 1.0)
+        value, left = joint.common[row], float(spread.reach[row]) / COVERAGE
+        low, high = value - spread.reach[row], value + spread.reach[row]
         if flat[row].any():
             value, left = _beside(value, flat[row], prior.scaled(own_value(config.plant, name))), 1.0
             low, high = ends[row]

@@ -10,8 +10,7 @@ Applications in Genetics and Molecular Biology* 3, 2004): a badly described dire
 **Recordings.** Where there are several, the clusters are also the recordings: their windows may err together.
 
 **Limits.** A limit that the motion never reached, such as the slew limit of a valve, leaves the cost flat beyond the
-found value, whatever the slope at it says. Steps to both sides of each value, along the ridge of the linear model, find
-such unknowns: the recordings do not determine them.
+found value, whatever the slope at it says: the recordings do not determine it.
 """
 
 from __future__ import annotations
@@ -35,13 +34,9 @@ MODERATION = 4.0  # degrees of freedom of the common ratio; seven windows, the u
 LEAST_RATIO = 1.0  # a variance is never below this share of the model's
 MOST_OWN = 0.95  # largest share of a direction that one window decides, in the correction of its score
 
-STEP, FAR_STEP, LEAST_STEP = 2.0, 6.0, 0.3
-"""Standard deviations, of the steps to both sides. The few readings that reached a limit may favour it by chance: the
-far step shows whether all larger values are nearly as likely."""
-
-LONGEST = 3.0  # step, in standard deviations of the range
-FLAT = 0.25  # of the expected rise of the cost; a smaller rise is flat
-MOST_WIDER = 2.0  # largest factor by which a small rise of the cost lengthens one side of an interval
+SURE_RISE = 3.0
+"""Rise of the cost, in standard deviations, up to which an end of a range is possible: the few readings that reached a
+limit may favour it by chance, and then all larger values are as likely."""
 
 
 class Spread(NamedTuple):
@@ -89,8 +84,8 @@ def _spread(joint: Joint, information: Floats, score: Floats) -> Spread:
     return Spread(deviation, widening, reach)
 
 
-def reaches(problem: Problem, joint: Joint, spread: Spread, ends: Floats) -> tuple[Floats, Mask]:
-    """Length of the interval below and above each value, scaled, and whether the cost is flat there, (p, 2) each.
+def possible_ends(problem: Problem, joint: Joint, spread: Spread, ends: Floats) -> Mask:
+    """Whether the readings allow each unknown to move alone to the lower and to the upper end of its range, (p, 2).
 
     Args:
         problem: of the windows of the fit.
@@ -98,36 +93,17 @@ def reaches(problem: Problem, joint: Joint, spread: Spread, ends: Floats) -> tup
         spread: of the fit.
         ends: of the ranges, (p, 2), scaled; infinite for unknowns that no limit describes.
     """
-    middle = joint.common[:, None]
+    middle, count = joint.common[:, None], len(joint.shared)
     bounded = (ends[:, :1] < middle) & (middle < ends[:, 1:]) & np.isfinite(ends).all(axis=1, keepdims=True)
-    room = np.where(bounded, np.abs(ends - middle), np.inf)
-    near = _rises(problem, joint, np.minimum(STEP * spread.deviation[:, None], room))
-    far = _rises(problem, joint, np.minimum(FAR_STEP * spread.deviation[:, None], np.minimum(room, LONGEST)))
-    reach = spread.reach[:, None] * np.clip(1.0 / np.sqrt(np.maximum(near, 1e-3)), 1.0, MOST_WIDER)
-    return reach, bounded & (np.minimum(near, far) < FLAT)
-
-
-def _rises(problem: Problem, joint: Joint, lengths: Floats) -> Floats:
-    """Rise of the cost over that of the linear model after steps of these lengths below and above each value, (p, 2).
-
-    The steps lead along the ridge of the linear model; one that the end of a range makes short shows nothing: 1.
-    """
-    count, middle = len(joint.shared), joint.common
-    covariance = joint.covariance
-    ridge = covariance / np.diag(covariance)[:, None]  # row j: all unknowns, for a step of 1 of unknown j
-    steps = lengths * np.array([-1.0, 1.0])
-    offsets = (steps[:, :, None] * ridge[:, None]).reshape(-1, count)  # (2p, p)
-    rows = np.repeat(joint.scaled[:, None], len(offsets) + 1, axis=1)
-    rows[:, 1:, joint.shared] += offsets
-    rows[:, 1:, joint.own] += np.einsum("bop,kp->bko", joint.response, offsets)
+    rows = np.repeat(joint.scaled[:, None], 2 * count + 1, axis=1)
+    for place, unknown in enumerate(joint.shared.tolist()):
+        rows[:, 2 * place + 1 : 2 * place + 3, unknown] = np.where(bounded[place], ends[place], middle[place])
     known = np.isfinite(problem.measured)
     square = np.ascontiguousarray((problem.residual(rows) ** 2).sum(axis=3).swapaxes(0, 1))  # (2p + 1, B, channels)
     weight = 1.0 / np.maximum(square[0] / np.maximum(known.sum(axis=2), 1), 1.0)  # as in the fit
     cost = np.nan_to_num((weight * square).sum(axis=(1, 2)), nan=np.inf, posinf=np.inf)
-    rise = cost[1:] - cost[0] + 2.0 * offsets @ middle + (offsets**2).sum(axis=1)
-    deviation = np.sqrt(np.diag(covariance))[:, None]
-    expected = (lengths / deviation) ** 2
-    return np.where(lengths > LEAST_STEP * deviation, rise.reshape(count, 2) / np.maximum(expected, 1e-12), 1.0)
+    rise = (cost[1:] - cost[0]).reshape(count, 2)
+    return bounded & (rise < (SURE_RISE * spread.widening[:, None]) ** 2)
 
 
 def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
