@@ -9,7 +9,6 @@ Run: python -m benchmarks.best_found [--task NAME|FILE] [--plants 3] [--leak 0.0
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from hydro_agents.evaluation.metrics import ERROR, ERROR_SENSOR
 from hydro_agents.evaluation.participants import shipped_controllers
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
-from hydro_env.compiling import SOURCES, compiled
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.kernel import (
     IMPACT_SPEED,
@@ -35,8 +33,10 @@ from hydro_env.plant.kernel import (
 from hydro_env.plant.states import State
 from hydro_env.task.configuration import task_config
 from hydro_env.task.fault_effects import FAULT_COLUMNS
+from hydro_env.task.kernel import follow
 from hydro_env.task.paces import within_a_period
-from hydro_env.task.schedules import LEAK_COLUMNS, follow_schedules
+from hydro_env.task.record import FIRST_COEFFICIENT, FIRST_VOLTAGE
+from hydro_env.task.schedules import LEAK_COLUMNS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import POSITION as SENSOR_POSITION
 from hydro_env.types import Floats
@@ -188,27 +188,13 @@ class Prediction:
 
 def true_schedule(config: TaskConfig, axes: Axes, periods: int) -> Floats:
     """The coefficients :data:`SCHEDULED` of the true plants in each control period, (periods, N, S)."""
-    schedule = np.empty((periods, axes.count, len(SCHEDULED)))
-    _follow(settings_of(config), axes.record.copy(), axes.coefficient.copy(), np.array(SCHEDULED), schedule)
-    return schedule
-
-
-def _build(sources: int) -> Any:
-    def follow(task: Any, record: Any, coefficient: Floats, columns: Sequence[int], schedule: Floats) -> None:
-        assert sources >= 0  # keys numba's cache
-        settings = task[0]
-        for axis in range(record.shape[0]):
-            row = record[axis]
-            for period in range(schedule.shape[0]):
-                row.step = period
-                follow_schedules(row, coefficient[axis], settings)
-                for index in range(schedule.shape[2]):
-                    schedule[period, axis, index] = coefficient[axis, columns[index]]
-
-    return compiled(follow)
-
-
-_follow = _build(SOURCES)
+    task, record, plant = settings_of(config), axes.record.copy(), axes.arrays.plant.copy()
+    coefficients, schedule = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE], []
+    for period in range(periods):
+        record["step"] = period
+        follow(task, record, plant, 0, axes.count)
+        schedule.append(coefficients[:, SCHEDULED])
+    return np.array(schedule)
 
 
 NEWTON_STEPS = 6  # steps of the projected Newton method; each decides which commands stay at a limit
