@@ -4,7 +4,6 @@ import copy
 
 import numpy as np
 import pytest
-from refusal import refused
 
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS
@@ -78,12 +77,3 @@ def test_the_start_of_an_episode_forgets_what_was_before(name):
     on, _ = run(controller, kept, range(30, STEPS))
     np.testing.assert_array_equal(started[:, [0, 2]], fresh[:, [0, 2]])
     np.testing.assert_array_equal(started[:, 1], on[:, 1])
-
-
-@pytest.mark.parametrize("name", EVERYTHING)
-@pytest.mark.parametrize(("before", "now"), [(AXES, 2), (1, AXES)])
-def test_a_memory_of_another_number_of_axes_is_refused(name, before, now):
-    controller = EVERYTHING[name]
-    _, state = controller.predict(OBSERVATIONS[0, :before])
-    with refused(f"state: is that of {before} axes, and the observations are those of {now}"):
-        controller.predict(OBSERVATIONS[1, :now], state)

@@ -48,15 +48,6 @@ def test_figures_that_were_given_stand_in_the_rig():
     assert (plant.load.mass, plant.load.external_force) == (200.0, -2000.0)
 
 
-def test_every_line_says_where_its_value_comes_from():
-    text, _ = made(bandwidth="60 Hz", line_length="2 m", line_diameter="10 mm")
-    body = [line for line in text.splitlines() if line.startswith("  ")]
-    assert len(body) > 40
-    for line in body:
-        assert "  # " in line, line
-    assert "  natural_frequency: 60 Hz  # given" in text
-
-
 SURE = {"friction", "lines", "fluid.density", "valve.transition_pressure"}
 """Groups and fields that may keep the value of the paper's rig without a word."""
 

@@ -21,15 +21,6 @@ def mean_interval(values):
     return ratio_interval(values, np.ones(len(values)))
 
 
-def test_three_plants_are_enough_for_an_interval_and_two_are_not():
-    found = mean_interval(np.array([1.0, 3.0]))
-    assert found.value == 2.0
-    assert np.isnan([found.low, found.high, ratio_interval(np.array([1.0, 3.0]), np.array([2.0, 2.0])).low]).all()
-    assert np.isnan(interval(np.array([1.0, np.nan, np.inf]), 9)[1:]).all()
-    assert mean_interval(np.array([1.0, 2.0, 6.0]))[1:] == (1.0, 6.0)
-    assert ratio_interval([1, 2, 6], [1, 1, 1]) == (3.0, 1.0, 6.0)  # whole numbers and lists are numbers too
-
-
 def test_an_interval_is_the_percentile_bootstrap():
     values = np.random.default_rng(9).lognormal(size=15)
     generator = np.random.default_rng(0)

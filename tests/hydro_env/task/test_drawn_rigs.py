@@ -10,7 +10,7 @@ from hydro_env.plant.analysis import closed_port_natural_frequency, full_pressur
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import DEAD, drawn_figures, drawn_task, rig_tasks
 from hydro_env.task.law import RigLaw
-from hydro_env.task.paces import full_speed, outside_law, pace
+from hydro_env.task.paces import full_speed, pace
 from hydro_env.task.signals import SHEET, data_sheet
 
 UNTUNED_RIGS = SeedRange(2_140_000, 50_000, "this test")
@@ -133,13 +133,6 @@ def test_impossible_laws_are_refused(law, message):
     with refused(message.replace("[", r"\[")) as error:
         ServoHydraulicEnv(rig="drawn", law=law)
     assert "\n" not in str(error.value)
-
-
-def test_a_rig_outside_the_law_is_told_with_the_distance():
-    tasks = rig_tasks(task_config(law={"count": 40, "split": "test", "preview_paces": []}))
-    assert [outside_law(LAW, task) for task in tasks] == [""] * 40
-    strong = task_config(plant={"supply": {"pressure": 350e5}}, control_period=0.02)
-    assert outside_law(LAW, strong) == "supply 350 bar (70 to 250), period 20 ms (1 to 10)"
 
 
 def test_an_axis_of_a_law_with_one_rig_ends_by_the_steps_of_this_rig():

@@ -21,7 +21,6 @@ from hydro_env import ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.task.configuration import task_config
 from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
 from hydro_rig.export.controller_folder import exported_files
-from hydro_rig.export.measured import MeasuredSignals
 from hydro_rig.export.tracing import TraceError
 
 KINDS = ("pid", "flow_linearising", "adrc", "lqg", "ppo")
@@ -203,17 +202,3 @@ def test_the_command_writes_the_folder_once_and_refuses_what_it_does_not_know(tm
     assert_one_clear_line(hydro("export", "pid", "--output", folder), "holds results already")
     assert_one_clear_line(hydro("export", "nonsense", "--output", tmp_path / "x"), "nonsense")
     assert not (tmp_path / "x").exists()
-
-
-@pytest.mark.parametrize(("period", "first"), [(2e-3, ["4ms", "10ms"]), (10e-3, ["10ms", "20ms"])])
-def test_the_name_of_a_reference_ahead_says_its_true_time(period, first):
-    """Previews after 5 and 10 ms: two and five periods of 2 ms, and the same sample at 10 ms."""
-    config = TaskConfig(control_period=period, episode_duration=0.4)
-    env, signals = ServoHydraulicVectorEnv(2, config), MeasuredSignals(config)
-    ahead = [signal for signal in signals.signals if signal.name.startswith("reference_in_")]
-    assert [signal.name for signal in ahead][:2] == [f"reference_in_{time}" for time in first]
-    env.reset(seed=0)
-    read = signals.of_axes(env.axes)
-    for signal in ahead:
-        time = 1e-3 * float(signal.name.removeprefix("reference_in_").removesuffix("ms"))
-        np.testing.assert_array_equal(read[signal.name], env.axes.reference[:, round(time / period)])

@@ -152,18 +152,6 @@ def test_what_is_out_of_range_or_fixed_is_refused_in_one_line(file):
     axis.set(**{"rig.load.mass": 70.0})
 
 
-@needs_compiler
-def test_a_state_of_one_instance_leaves_another_its_logger(file):
-    one, other = Instance(file), Instance(file)
-    one.set(initial_position=PLACE)
-    one.fmu.exitInitializationMode()
-    saved = one.fmu.getFMUstate()
-    other.fmu.setFMUstate(saved)
-    assert other.get("position") == pytest.approx([PLACE])
-    assert other.refused(other.fmu.doStep, 0.0, -1.0).startswith("communication step")
-    assert one.lines == []
-
-
 def test_its_description_is_of_this_rig(tmp_path, monkeypatch):
     monkeypatch.setattr(plant, "compiled", lambda *_: b"")
     fmpy = pytest.importorskip("fmpy")
