@@ -31,17 +31,11 @@ from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.states import ALL_STATES, state_kind
 from hydro_env.types import Floats
 
-SAMPLE_TIME = 5e-3
-"""s; each voltage is held this long."""
-
+SAMPLE_TIME = 5e-3  # s; each voltage is held this long
 SAMPLES = 40
 INPUTS = ("held", "noise", "sine")
-LIMIT = 1e-4
-"""Largest allowed error of any state relative to its range, with the default settings."""
-
-FIXED_STEPS = (0.4e-3, 0.2e-3, 0.1e-3)
-"""s; steps of fixed length, between which the order is computed."""
-
+LIMIT = 1e-4  # largest allowed error of any state relative to its range, with the default settings
+FIXED_STEPS = (0.4e-3, 0.2e-3, 0.1e-3)  # s; steps of fixed length, between which the order is computed
 SETTINGS: dict[str, dict[str, float]] = {
     f"tolerance {tolerance:g}{' (default)' * (tolerance == TOLERANCE)}": {"tolerance": tolerance}
     for tolerance in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)

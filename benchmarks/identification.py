@@ -9,7 +9,6 @@ each rig; a later call continues it.
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -102,13 +101,11 @@ def report(rows: pd.DataFrame) -> None:
 
 def main() -> None:
     """Identify the hidden rigs, and print the tables."""
-    given = command_line(__doc__, rigs=30, folder=Path, validation=False)
+    given = command_line(__doc__, rigs=30, folder=Path("results/identification"), validation=False)
     seeds = THRESHOLDS.take(given.rigs, VALIDATION_SKIP) if given.validation else HIDDEN_RIGS.take(given.rigs)
-    with tempfile.TemporaryDirectory() as name:
-        folder = given.folder or Path(name)
-        folder.mkdir(parents=True, exist_ok=True)
-        rows_of = partial(unknowns_of, first=seeds[0], folder=folder)
-        report(kept_rows(folder / "rows.csv", "seed", seeds, rows_of))
+    given.folder.mkdir(parents=True, exist_ok=True)
+    rows_of = partial(unknowns_of, first=seeds[0], folder=given.folder)
+    report(kept_rows(given.folder / "rows.csv", "seed", seeds, rows_of))
 
 
 if __name__ == "__main__":

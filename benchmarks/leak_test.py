@@ -10,7 +10,6 @@ if it lies above zero by 2.33 of its own standard deviations: 1 % false alarms, 
 
 from __future__ import annotations
 
-import tempfile
 import time
 from pathlib import Path
 
@@ -68,19 +67,22 @@ def summary(leak: float, rows: pd.DataFrame) -> list[str]:
 
 def main() -> None:
     """Run the tests, then print a table by leak."""
-    given = command_line(__doc__, axes=16, leak=[0.0, 0.005, 0.01, 0.05], duration=60.0, folder=Path)
+    given = command_line(
+        __doc__, axes=16, leak=[0.0, 0.005, 0.01, 0.05], duration=60.0, folder=Path("results/leak_test")
+    )
     config = task_config(None)
     test = plan(config, given.duration)
     print(test.line())
     leaks: dict[int, float] = {}  # by seed; every leak has axes of its own
     for place, leak in enumerate(given.leak):
         leaks |= dict.fromkeys(LEAK_TESTS.take(given.axes, 1000 * place), leak)
-    with tempfile.TemporaryDirectory() as name:
-        folder = given.folder or Path(name)
-        folder.mkdir(parents=True, exist_ok=True)
-        rows = kept_rows(
-            folder / "axes.csv", "seed", list(leaks), lambda seed: [reading(config, test, seed, leaks[seed], folder)]
-        )
+    given.folder.mkdir(parents=True, exist_ok=True)
+    rows = kept_rows(
+        given.folder / "axes.csv",
+        "seed",
+        list(leaks),
+        lambda seed: [reading(config, test, seed, leaks[seed], given.folder)],
+    )
     lines = [summary(float(leak), part) for leak, part in rows.groupby("leak")]
     print(markdown((*HEADER, "error over bound"), lines))
 

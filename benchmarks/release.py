@@ -53,8 +53,7 @@ COMMANDS = (
 )
 """The main job and what a maintenance engineer and a control engineer do first."""
 
-LEAK = 10
-"""Exit code of ``hydro diagnose`` for the leak of the recording."""
+LEAK = 10  # exit code of ``hydro diagnose`` for the leak of the recording
 
 
 def run(*command: str | Path, cwd: Path = ROOT, code: int = 0, **variables: str) -> str:

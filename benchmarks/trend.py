@@ -7,13 +7,11 @@ at 40 °C grows by a decade in 40 days, or is healthy. On each day 30 s are
 recorded in another motion and with other noise, at an oil temperature of 25 to 60 °C that the leak follows; 5 % of the
 rows are lost. The seal is repaired on two days that are marked. Recording, choice of windows, checks, estimator, oil
 and verdict are those of the command; the thermometer errs by 1 K, the oil's viscosity at 100 °C by 3 %, and the file
-is not written. Finished axes stay in the folder, and the table of each beside them, so that other rules of states and
-dates are tried in a minute (`axes.csv` taken away); after an interruption the same command goes on.
+is not written. Finished axes stay in the folder; after an interruption the same command goes on.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,7 +29,7 @@ from hydro_env import TaskConfig
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.watching.oil import GRADES, Oil
 from hydro_rig.watching.reading import row_of
-from hydro_rig.watching.table import TEXTS, stamp
+from hydro_rig.watching.table import stamp
 from hydro_rig.watching.trend import DAY, State, trend_of
 
 LENGTH, LOST = 30.0, 0.05  # s of a day that are recorded; share of lost rows
@@ -95,18 +93,10 @@ def table_of(controller: Controller, seed: int, axis: Axis, windows: int) -> pd.
     return pd.DataFrame(rows)
 
 
-def kept_table(kept: Path, controller: Controller, seed: int, axis: Axis, windows: int) -> pd.DataFrame:
-    """The table of an axis, from its file if it stands."""
-    if not kept.exists():
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        table_of(controller, seed, axis, windows).to_csv(kept, index=False)
-    return pd.read_csv(kept, dtype=dict.fromkeys(TEXTS, str)).fillna(dict.fromkeys(TEXTS, ""))
-
-
-def judge(kept: Path, controller: Controller, seed: int, days: int, grows: bool, windows: int) -> dict[str, Any]:
+def judge(controller: Controller, seed: int, days: int, grows: bool, windows: int) -> dict[str, Any]:
     """What the trend said day by day: share of dates that hold, false dates and alarms."""
     axis = axis_of(seed, days, grows)
-    table = kept_table(kept / f"{seed}_{days}_{windows}.csv", controller, seed, axis, windows)
+    table = table_of(controller, seed, axis, windows)
     holds, early, raised, at_half = [], [], 0, np.nan
     since = axis.repairs[0]
     crossing = since + np.log10(LIMIT / axis.leak[since]) / GROWTH if grows else np.inf
@@ -144,7 +134,7 @@ def main() -> None:
         given.folder / "axes.csv",
         "seed",
         list(grows),
-        lambda seed: [judge(given.folder / "tables", controller, seed, given.days, grows[seed], given.windows)],
+        lambda seed: [judge(controller, seed, given.days, grows[seed], given.windows)],
         given.jobs,
     )
     growing, healthy = table[table["grows"]], table[~table["grows"]]

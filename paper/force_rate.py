@@ -17,12 +17,8 @@ from hydro_env.plant.parts.leakage import external_leakage, internal_leakage
 from hydro_env.plant.states import STATE_NAMES, State
 from paper.rig import FEW_LEAKS, LAWS, PLANT, SAMPLE_TIME, START, VOLTAGE, Law, count, simplified, with_leak
 
-DRAWN = 1.0
-"""l/min at 100 bar; the leak of the picture."""
-
-EXTERNAL_LEAK = 0.1
-"""l/min at 100 bar past the rod seal; without this leak the fourth term would be zero."""
-
+DRAWN = 1.0  # l/min at 100 bar; the leak of the picture
+EXTERNAL_LEAK = 0.1  # l/min at 100 bar past the rod seal; without this leak the fourth term would be zero
 TERMS = {
     "valve_n_s": "flow through the valve",
     "motion_n_s": "motion of the piston",
@@ -30,12 +26,9 @@ TERMS = {
     "external_leakage_n_s": "external leakage",
 }
 DRIVE, HELD, WATCH = 0.15, 0.02, 0.25
-WINDOWS = {"move": (0.0, DRIVE), "stop": (DRIVE, DRIVE + 0.15)}
-"""s after the command to move."""
-
+WINDOWS = {"move": (0.0, DRIVE), "stop": (DRIVE, DRIVE + 0.15)}  # s after the command to move
 BINS = 8
-FEWEST = 10
-"""Smallest number of samples in a bin of pressure differences."""
+FEWEST = 10  # smallest number of samples in a bin of pressure differences
 
 
 def force_rate_terms(run: Trajectory) -> NDArray[np.float64]:

@@ -20,12 +20,7 @@ from hydro_env import HydroError
 from hydro_env.types import Floats
 from paper.rig import LEAKS, PLACE, PLANT, TIGHT, with_leak
 
-GAIN_MARGIN = 2.0
-"""Gain margin: largest stable gain over the gain in use."""
-
-INNER = 1e-3
-"""s; sample time of the plant in a loop. Control period and latency are multiples of it."""
-
+GAIN_MARGIN = 2.0  # gain margin: largest stable gain over the gain in use
 NYQUIST = 0.5 / CONTROL_PERIOD
 FREQUENCIES = np.geomspace(1e-3, 0.999, 500) * NYQUIST
 

@@ -14,12 +14,8 @@ from paper.signals import recorded
 MOVES = ((0.25, 1.0), (0.45, 0.0), (0.25, 1.0), (0.45, 0.0), (0.5, -1.0), (0.5, 0.0))
 """s and fraction of VOLTAGE: two moves out and one back, each with a stop after it."""
 
-HELD = 0.1
-"""s; time at the initial position before the first move."""
-
-FIRST_STOP = 0.35
-"""s; the first command to stop."""
-
+HELD = 0.1  # s; time at the initial position before the first move
+FIRST_STOP = 0.35  # s; the first command to stop
 SEED = 12
 
 

@@ -20,9 +20,7 @@ from paper.moves import FIRST_STOP
 from paper.rig import FEW_LEAKS, LAWS, LEAKS, VOLTAGE, flow
 from paper.settling import friction_words
 
-ENLARGED = (0.01, 1.0, 4.0)
-"""Leaks whose stop is enlarged."""
-
+ENLARGED = (0.01, 1.0, 4.0)  # leaks whose stop is enlarged
 SECONDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 

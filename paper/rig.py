@@ -19,9 +19,7 @@ TIGHT, MODERATE, SEVERE = 0.01, 1.0, 4.0
 """Leaks in l/min at 100 bar: a new seal; the bound between moderate and severe; the largest leak of the task."""
 
 LEAKS = (0.01, 0.3, 1.0, 2.0, 4.0)
-FEW_LEAKS = (0.01, 0.3, 1.0, 4.0)
-"""Leaks of the lines of a figure."""
-
+FEW_LEAKS = (0.01, 0.3, 1.0, 4.0)  # leaks of the lines of a figure
 PLANT = PlantParameters()
 START = 0.005  # m, where moves begin
 PLACE = 0.02  # m, where the axis is linearised

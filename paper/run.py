@@ -45,8 +45,7 @@ WAYS: dict[str, tuple[Any, Any, Any]] = {
     "section4_share": (share_table, pictures.paint_share, verdicts.share),
     "bode_closed_loop": (closed_bode_table, pictures.paint_closed_bode, verdicts.closed_loop),
 }
-FIGURES = {key: Entry(*ways, **TEXTS[key]) for key, ways in WAYS.items()}
-"""By the name of their files."""
+FIGURES = {key: Entry(*ways, **TEXTS[key]) for key, ways in WAYS.items()}  # by the name of their files
 
 
 def reproduce_to_folder(folder: Path, overwrite: bool, command: str = "python -m paper") -> Path:

@@ -17,9 +17,7 @@ from paper.signals import SETTLED, last_above, swing_envelope
 FRICTION_MODELS = ("none", "stribeck", "lugre")
 """``friction.model`` of each column of the figure; one more entry is one more column."""
 
-SETTLING_LEAKS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
-"""l/min at 100 bar."""
-
+SETTLING_LEAKS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)  # l/min at 100 bar
 RING_DOWN = (0.02, 0.10)  # s after the stop command; the state of the linear theory is the mean over it
 FIRST_SWINGS = 0.05  # s after the stop command
 

@@ -7,8 +7,7 @@ import numpy as np
 from hydro_env.task.sensors import Sensor
 from hydro_env.types import Floats
 
-SETTLED = 0.1
-"""m/s²; the paper calls the axis settled below this (ε_a)."""
+SETTLED = 0.1  # m/s²; the paper calls the axis settled below this (ε_a)
 
 
 def recorded(true: Floats, sensor: Sensor, generator: np.random.Generator) -> Floats:

@@ -17,17 +17,10 @@ from paper.settling import friction_words, trends
 
 YES, PART, NO = "comes out", "in part", "not"
 
-LITTLE = 0.05
-"""Relative change of a length that counts as small."""
-
-NEGLIGIBLE = 0.03
-"""Relative change of a bandwidth that counts as unchanged."""
-
-CLEAR_TREND = 1.5
-"""A trend is clear above this ratio of settling with a tight seal to settling with a moderate leak."""
-
-LASTING = 0.25
-"""A share of leakage that is still so large, relative to its largest one, is not negligible."""
+LITTLE = 0.05  # relative change of a length that counts as small
+NEGLIGIBLE = 0.03  # relative change of a bandwidth that counts as unchanged
+CLEAR_TREND = 1.5  # a trend is clear above this ratio of settling with a tight seal to settling with a moderate leak
+LASTING = 0.25  # a share of leakage that is still so large, relative to its largest one, is not negligible
 
 
 class Verdict(NamedTuple):
