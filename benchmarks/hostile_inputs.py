@@ -101,19 +101,9 @@ def moved(names: str | Sequence[str], rows: int) -> Change:
     return on(names, lambda values: values.shift(rows).bfill().ffill())
 
 
-def steps(names: str | Sequence[str], size: float) -> Change:
-    """Readings that are rounded to steps."""
-    return on(names, lambda values: ((values / size).round() * size).round(9))
-
-
 def sometimes(share: float, function: Values) -> Values:
     """Change a share of the readings at random places."""
     return lambda values: values.mask(np.random.default_rng(2).random(len(values)) < share, function(values))
-
-
-def held(values: pd.Series) -> Any:
-    """The first reading for ever."""
-    return values.iloc[0]
 
 
 def rows(function: Callable[[pd.DataFrame], Any]) -> Change:
@@ -121,30 +111,10 @@ def rows(function: Callable[[pd.DataFrame], Any]) -> Change:
     return lambda table: table.iloc[np.asarray(function(table))]
 
 
-def jittering(time: pd.Series) -> Any:
-    """Stamps that jitter by 4 ms, in the right order."""
-    return np.sort(time + 4e-3 * np.random.default_rng(3).standard_normal(len(time))).round(6)
-
-
 def set_point(table: pd.DataFrame) -> pd.DataFrame:
     """The wanted position as command: 10 V are half a stroke."""
     wanted = table[POSITION].rolling(9, center=True, min_periods=1).mean().shift(-8).ffill()
     return table.assign(**{COMMAND: 10.0 / HALF_STROKE * wanted})
-
-
-def difference(table: pd.DataFrame) -> pd.DataFrame:
-    """The difference of the pressures instead of both."""
-    return renamed({A: "load_pressure [bar]"})(table.assign(**{A: table[A] - table[B]}).drop(columns=B))
-
-
-def long_format(table: pd.DataFrame) -> pd.DataFrame:
-    """One row per reading."""
-    return table.melt(TIME, var_name="tag", value_name="value").sort_values(TIME, kind="stable")
-
-
-def spaced(text: str) -> str:
-    """Columns between spaces, and headings behind a percent sign."""
-    return "% " + text.replace(" [", "[").replace(",", " ")
 
 
 def quoted_commas(text: str) -> str:
@@ -162,7 +132,9 @@ CHANGES: dict[str, dict[str, Change]] = {
         "number of the row": renamed({TIME: "time"}, lambda time: range(len(time))),
     },
     "clocks": {
-        "stamps jitter by 4 ms": on(TIME, jittering),
+        "stamps jitter by 4 ms": on(
+            TIME, lambda time: np.sort(time + 4e-3 * np.random.default_rng(3).standard_normal(len(time))).round(6)
+        ),
         "clock 5 % fast": on(TIME, lambda time: 1.05 * time),
         "newest row first": rows(lambda table: np.arange(len(table))[::-1]),
         "counter overflows at 4.096 s": on(TIME, lambda time: (time % 4.096).round(6)),
@@ -176,7 +148,7 @@ CHANGES: dict[str, dict[str, Change]] = {
         "each row twice": rows(lambda table: np.repeat(np.arange(len(table)), 2)),
         "5 % of the rows lost": rows(lambda table: np.random.default_rng(4).random(len(table)) > 0.05),
         "a second of rows lost": rows(lambda table: np.delete(np.arange(len(table)), np.s_[900:1100])),
-        "one row per reading": long_format,
+        "one row per reading": lambda table: table.melt(TIME, var_name="tag").sort_values(TIME, kind="stable"),
     },
     "units": {
         "position in cm, called mm": on(POSITION, lambda values: 0.1 * values),
@@ -192,11 +164,13 @@ CHANGES: dict[str, dict[str, Change]] = {
         "command reversed": on(COMMAND, lambda values: -values),
         "chambers exchanged": renamed({A: B, B: A}),
         "set point as command": set_point,
-        "only the difference of pressures": difference,
+        "only the difference of pressures": lambda table: (
+            table.assign(**{A: table[A] - table[B]}).drop(columns=B).rename(columns={A: "load_pressure [bar]"})
+        ),
     },
     "resolution": {
-        "pressures in steps of 1 bar": steps(PRESSURES, 1.0),
-        "position in steps of 1 mm": steps(POSITION, 1.0),
+        "pressures in steps of 1 bar": on(PRESSURES, lambda bar: bar.round()),
+        "position in steps of 1 mm": on(POSITION, lambda mm: mm.round()),
     },
     "channels": {
         "pressures 5 rows late": moved(PRESSURES, 5),
@@ -216,7 +190,7 @@ TEXTS: dict[str, Write] = {
     "UTF-16": csv("\t", encoding="utf-16"),
     "decimal commas in quotes": csv(text=quoted_commas),
     "six lines before": csv(text=lambda text: "Logger 7\nPlant: 3, hall 2\n\nRate: 200\nUnit: x\n\n" + text),
-    "headings behind %": csv(text=spaced),
+    "headings behind %": csv(text=lambda text: "% " + text.replace(" [", "[").replace(",", " ")),
     "truncated": csv(text=lambda text: text[: int(0.7 * len(text)) + 3]),
 }
 FAULTS: dict[str, dict[str, Values]] = {
@@ -226,13 +200,13 @@ FAULTS: dict[str, dict[str, Values]] = {
         "noise of 3 bar": lambda bar: bar + 3.0 * np.random.default_rng(1).standard_normal(len(bar)),
         "spikes": sometimes(0.01, lambda bar: bar + 100.0),
         "clipped": lambda bar: bar.clip(upper=bar.quantile(0.6)),
-        "stuck": held,
+        "stuck": lambda values: values.iloc[0],
     },
     POSITION: {
         "offset of 5 mm": lambda mm: mm + 5.0,
         "gain of 1.05": lambda mm: 1.05 * mm,
         "spikes": sometimes(0.01, lambda mm: mm + 100.0),
-        "stuck": held,
+        "stuck": lambda values: values.iloc[0],
     },
     SPOOL: {
         "offset of 2 %": lambda values: values + 2.0,
