@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from benchmarks.best_found import BestFound, Prediction, bounded_least_squares, true_schedule
+from benchmarks.best_found import BestFound, Prediction, bounded_least_squares, continued, true_schedule
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
@@ -89,3 +89,15 @@ def test_it_is_never_worse_than_the_pid_and_a_case_does_not_depend_on_its_neighb
     assert errors(found)[smooth].max() < 2e-6
     again = run_cases(SHORT, BestFound(SHORT), CASES.part(4, 5))
     np.testing.assert_array_equal(again.position, found.position[4:5])
+
+
+def test_the_reference_beyond_the_preview():
+    ramp = np.arange(20.0)[None]
+    jump = np.where(np.arange(20) < 8, 0.0, 5.0)[None]
+    np.testing.assert_array_equal(continued(ramp, 3, 4, 8), np.arange(4.0, 12.0)[None])
+    np.testing.assert_array_equal(continued(ramp, 3, 0, 3), [[4, 5, 6]])  # without preview
+    np.testing.assert_array_equal(continued(jump, 4, 4, 8), [[0, 0, 0, 5, 5, 5, 5, 5]])
+    np.testing.assert_allclose(continued(ramp**2, 3, 4, 8), (ramp**2)[:, 4:12])
+    slowing = np.cumsum(np.arange(20.0, 0.0, -1.0))[None]  # after five periods of its acceleration it keeps its speed
+    speeds = np.diff(continued(slowing, 3, 4, 12)[0])
+    np.testing.assert_array_equal(speeds, [15, 14, 13, 12, 11, 10, 9, 8, 8, 8, 8])

@@ -89,3 +89,10 @@ def test_recordings_labels_and_axes_agree(folder):
         assert (labels["fault"][labels["leak"]] == "").all()
         for axis in labels["axis"]:
             assert read_task(tasks[axis]) == task_of(seed_of(axis))
+
+
+def test_sizes_and_their_intervals_count_at_the_last_look():
+    labels = made_up(leaks=50, sound=50)
+    table = looks(labels, leaking, every=20.0).assign(size=0.2, low=0.1)
+    row = score(table.assign(high=np.where(table["recording"] < 25, 0.5, 0.3)), labels)
+    assert (row["90 % interval holds"], row["size off by"]) == pytest.approx((0.5, 2.0))
