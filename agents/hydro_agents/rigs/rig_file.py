@@ -22,7 +22,7 @@ WORDS = {
     "absent": SENSORS[1:],
 }
 """Answers that are words."""
-DIVISORS = ("rated_drop", "step_time", "full_signal")  # optional answers that must be above zero
+ABOVE_ZERO = ("rated_drop", "step_time", "full_signal", "structure_share")  # optional answers
 
 
 class Question(NamedTuple):
@@ -114,7 +114,7 @@ def parsed(question: Question, text: str) -> float | str:
         raise ConfigurationError(f"{place}: must be a number with its unit, such as {question.example}") from None
     if share and not 0.0 <= number < 1.0:
         raise ConfigurationError(f"{place}: must be within 0 to 100 %")
-    positive = question.required or question.key in DIVISORS
+    positive = question.required or question.key in ABOVE_ZERO
     if question.key != "external_force" and not (number > 0.0 or (number == 0.0 and not positive)):
         raise ConfigurationError(f"{place}: must be above 0")
     return number
@@ -129,6 +129,8 @@ def answers_from(texts: Mapping[str, str]) -> dict[str, Any]:
     missing = [question.name for question in QUESTIONS if question.required and question.key not in texts]
     if missing:
         raise ConfigurationError(f"new-rig: {', '.join(missing)}: must be given; on a terminal the command asks")
+    if texts.get("pressure_sensors", "").strip() == "valve" and "line_length" not in texts:
+        raise ConfigurationError("pressure-sensors=valve: needs line-length: without lines both places are one")
     figures = {question.key: parsed(question, texts[question.key]) for question in QUESTIONS if question.key in texts}
     if "full_signal" in figures:
         key = "full_voltage"
