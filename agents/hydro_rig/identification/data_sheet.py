@@ -39,7 +39,7 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
     odd: list[tuple[str, str]] = []
     for part, count in Counter(part for parts in found.parts for part in parts).items():
         if count >= MOST_DIFFER * len(found):
-            odd.append(("model", f"shows {part} that the rig's file does not tell"))
+            odd.append(("model", f"shows {part} that the assumed rig lacks"))
     latency, rise = float(np.median(used.latency)), max(float(np.median(used.rise_time)), 0.0)
     if abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period:
         odd.append(("command", f"acts {_ms(latency)} after its row, and not {_ms(task.command_latency)} ({LATENCY})"))

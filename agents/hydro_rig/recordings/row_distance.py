@@ -11,6 +11,7 @@ from hydro_rig.recordings.findings import Finding, Weight
 LARGEST_DEVIATION = 0.02
 """Largest relative deviation of the row distance from a whole fraction of the control period; clocks differ less."""
 
+SLOWEST = 1.5  # longest row distance, in control periods, of a log on its own grid; a slower one misses commands
 ROWS_TOGETHER = 20
 SHORTEST_DISTANCE = 1e-7  # s between two rows; no rig logs faster, so the unit of the stamps is wrong
 COMMON = (0.2, 0.5, 0.8)  # quantiles of the distances that count
@@ -54,5 +55,6 @@ def other_sampling(distance: float, period: float, unit: str) -> Finding:
     if fitting:
         what += f"; stamps in {min(fitting, key=rows.__getitem__)} instead of {unit} would fit"
     else:
-        what += ": the commands between the rows are unknown; record faster, or give the --task of this rig"
+        what += f": the commands between the rows are unknown; {1.0 / (SLOWEST * period):.0f} rows a second would do, "
+        what += "a measured flow at this rate, or the --task of this rig with its control period"
     return Finding("time", what, Weight.SEVERE)

@@ -20,6 +20,7 @@ from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, 
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.row_distance import (
     SHORTEST_DISTANCE,
+    SLOWEST,
     other_sampling,
     row_distance,
     whole_fraction,
@@ -35,7 +36,6 @@ TOGETHER, APART = 100, 0.5
 """Rows are equidistant if the median of the stamps of so many of them leaves a steady clock by less than this share of
 the row distance."""
 
-SLOWEST = 1.5  # longest row distance, in control periods, of a log on its own grid; a slower one misses commands
 
 MOST_LOST_ROWS = 0.2  # largest share of rows that may be missing in gaps, or duplicate
 PAUSE = 1.0  # s; a longer gap is a pause of the recording, which leaves the rows before and after it
