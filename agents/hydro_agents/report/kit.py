@@ -81,7 +81,7 @@ class Page:
 
     def heading(self, text: str) -> None:
         """Begin a part of the page."""
-        anchor = re.sub(r"\W+", "-", text.lower()).strip("-")
+        anchor = anchor_of(text)
         self.headings[anchor] = text
         self._add('<h2 id="{}">{}</h2>', anchor, text)
 
@@ -107,6 +107,18 @@ class Page:
         self._add("<details {}><summary>{}</summary>", "open" if opened else "", summary)
         yield
         self._add("</details>")
+
+    @contextmanager
+    def links(self) -> Iterator[None]:
+        """A list of what is added inside by :meth:`link`."""
+        self._add('<nav class="links">')
+        yield
+        self._add("</nav>")
+
+    def link(self, heading: str, kind: str, cells: Iterable[str], mark: Markup) -> None:
+        """A line that leads to a heading: its text, cells and a small figure; ``kind`` as that of a verdict."""
+        spans = Markup("").join(Markup("<span>{}</span>").format(cell) for cell in cells)
+        self._add('<a class="{}" href="#{}"><b>{}</b>{}{}</a>', kind, anchor_of(heading), heading, spans, mark)
 
     def table(
         self,
@@ -164,6 +176,22 @@ class Page:
             ConfigurationError: the file cannot be written.
         """
         write_whole(path, self.html(origin).encode())
+
+
+def anchor_of(heading: str) -> str:
+    """The name of a heading in a link."""
+    return re.sub(r"\W+", "-", heading.lower()).strip("-")
+
+
+def sparkline(values: Floats, limit: float) -> Markup:
+    """A small line of values (n,) above zero on a logarithmic scale, and a dashed one at ``limit``; NaN: a gap."""
+    heights = np.log10(np.append(values, limit))
+    low, span = np.nanmin(heights), max(float(np.ptp(heights[np.isfinite(heights)])), 0.3)
+    places = 2.0 + 20.0 * (1.0 - (heights - low) / span)
+    steps = np.linspace(0.0, 98.0, max(len(values), 2))
+    points = " ".join(f"{x:.0f},{y:.1f}" for x, y in zip(steps, places[:-1], strict=False) if np.isfinite(y))
+    svg = '<svg viewBox="0 0 100 24" aria-hidden="true"><path d="M0 {:.1f}H100"/><polyline points="{}"/></svg>'
+    return Markup(svg).format(places[-1], points)
 
 
 def shown(value: Any, decimals: int | None = None) -> str:
