@@ -26,8 +26,9 @@ from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import TREND_CALIBRATION, TRENDS
 from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
+from hydro_rig.diagnosis.oil import GRADES, Oil
 from hydro_rig.recordings.recording import Recording
-from hydro_rig.watching.oil import GRADES, Oil
+from hydro_rig.watching import fleet
 from hydro_rig.watching.reading import row_of
 from hydro_rig.watching.table import stamp
 from hydro_rig.watching.trend import DAY, State, trend_of
@@ -100,8 +101,9 @@ def judge(controller: Controller, seed: int, days: int, grows: bool, windows: in
     holds, early, raised, at_half = [], [], 0, np.nan
     since = axis.repairs[0]
     crossing = since + np.log10(LIMIT / axis.leak[since]) / GROWTH if grows else np.inf
+    usual = fleet.Axis(TaskConfig(), None, Oil.of("46"), LIMIT)
     for day in range(SLOWEST - 1, days):
-        trend = trend_of(f"{seed}", table.iloc[: day + 1], LIMIT, Oil.of("46"), "")
+        trend = trend_of(f"{seed}", table.iloc[: day + 1], usual, "")
         if not grows:
             raised += trend.states[0] in (State.LEAK, State.OTHER) or trend.dated or trend.growth.ahead.value == 0.0
         elif since <= day < min(crossing, axis.repairs[1]) and axis.leak[day] >= 0.5 * LIMIT:

@@ -22,14 +22,15 @@ from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.findings import Finding, lines_of
+from hydro_rig.recordings.findings import Finding, Weight, lines_of
 from hydro_rig.recordings.parts import liveliest
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
-from hydro_rig.recordings.sampling import cut, on_grid
+from hydro_rig.recordings.sampling import Sampled, cut, on_grid
 
 HEAD = "leakage head"  # in sentences
 FIRST_WINDOWS = 2  # liveliest windows, which show whether the model describes the rig at all
+MOST_WINDOWS = 60  # of a recording; more take longer and add little
 
 
 class NamedReading(NamedTuple):
@@ -84,6 +85,7 @@ def diagnose(
     detector: LeakageHead | Detector,
     columns: ColumnMap | None = None,
     window: float = 2.0,
+    most: int = MOST_WINDOWS,
 ) -> Diagnosis:
     """Read a recording, check it, let the estimator and another detector read it, and judge.
 
@@ -93,6 +95,7 @@ def diagnose(
         detector: the leakage head, or another detector, that reads beside the estimator.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
         window: s, of the windows that the estimator reads; a head has its own.
+        most: windows that are read; those of a longer recording are a sample (:func:`spread`).
 
     Raises:
         ConfigurationError: the recording cannot be read at all.
@@ -117,20 +120,32 @@ def diagnose(
     length = max(round(window / config.control_period), 2)
     note = companion.refuses(config, length)
 
+    left_out: list[Finding] = []
+
+    def choose(samples: Sampled) -> Windows:
+        windows = cut(samples, length)
+        chosen = spread(windows, most)
+        if len(chosen) < len(windows):
+            what = f"{len(chosen)} of {len(windows)} are read, spread over the recording (--windows)"
+            left_out.append(Finding("windows", what, Weight.NOTE))
+        tell(f"windows of {len(samples.time)} samples at {1.0 / samples.period:.4g} Hz", len(chosen), len(windows))
+        return chosen
+
     def read(windows: Windows) -> Read:
         if not len(windows):
             return Read()
         estimator, fitted = read_windows(windows, config)
         if note:
-            return Read(estimator, None, fitted)
+            return Read(estimator, None, fitted, left_out)
         commanded = np.flatnonzero(windows.commanded)
         reading = companion.read(windows.part(commanded), config)
-        return Read(estimator, reading.among(commanded, len(windows), Why.NO_COMMANDS), fitted)
+        companion_reading = reading.among(commanded, len(windows), Why.NO_COMMANDS)
+        return Read(estimator, companion_reading, fitted, left_out)
 
     result = judged(
         checked,
         config,
-        choose=lambda samples: cut(samples, length),
+        choose=choose,
         read=read,
         recording=recording,
         balance=leak_of_blocks(flow_blocks(recording)),
@@ -138,6 +153,13 @@ def diagnose(
         companion=name_of(companion),
     )
     return Diagnosis(**vars(result), recording=recording, companion=companion, note=note)
+
+
+def spread(windows: Windows, most: int) -> Windows:
+    """Of each of ``most`` sections of a recording, the window that moves most; few are all kept."""
+    if len(windows) <= most:
+        return windows
+    return windows.part(liveliest(windows, most, float(windows.end[-1] - windows.begin[0]) / most))
 
 
 def read_windows(windows: Windows, config: TaskConfig, threads: int | None = None) -> tuple[Reading, Estimate | None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -44,34 +45,41 @@ PANELS = {
 }
 """Displayed units per SI unit, and signals, of each row of the figure."""
 
+FIRST_DATE = 1e9  # s since 1970; smaller stamps are no dates
 LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
 
 
-def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str) -> list[str]:
-    """Write page, table and findings; returns the lines for the user, the verdict last."""
+def diagnose_to_folder(
+    folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str, change: str = ""
+) -> list[str]:
+    """Write page, table and findings; returns the lines for the user, the verdict last.
+
+    ``change`` is a sentence about what has changed since an earlier recording.
+    """
     with output_folder(folder, JOB, FILES, overwrite=overwrite):
         write_text(folder / TABLE_FILE, leak_table(diagnosis).to_csv(index=False, lineterminator="\n"))
         write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
-        diagnosis_page(diagnosis).write(folder / PAGE_FILE, Origin.now(command))
+        diagnosis_page(diagnosis, line=change).write(folder / PAGE_FILE, Origin.now(command))
     lines = lines_of(diagnosis.checked.findings)
-    return [*lines, str(folder / PAGE_FILE), diagnosis.verdict.line()]
+    return [*lines, str(folder / PAGE_FILE), *filter(None, [change]), diagnosis.verdict.line()]
 
 
 @drawn
 def diagnosis_page(
     diagnosis: Diagnosis,
-    title: str = "Diagnosis of the axis",
+    title: str = "Diagnosis",
     numbers: str = "leak.csv (readings of each window) and findings.csv",
     line: str = "",
 ) -> Page:
     """The verdict and what to do next, the readings over time, and what is wrong with the recording."""
-    page = Page(title, f"Numbers: {numbers} beside this page.")
+    recording = diagnosis.recording
+    page = Page(f"{title}: {Path(recording.source).name}", f"Numbers: {numbers} beside this page.")
     page.verdict(capitalised(diagnosis.verdict.line()), STYLES[diagnosis.verdict.kind])
     if line:
         page.text(f"{capitalised(line)}.")
     page.text(ADVICE[diagnosis.verdict.kind])
+    page.text("The true leak lies within the interval in brackets in nine of ten recordings.", "soft")
     page.heading("Leak over time")
-    recording = diagnosis.recording
     axes = time_panels(("leak, l/min at 100 bar", *PANELS), 9.5, height_ratios=[1.7, 1, 1, 1])
     draw_leak(axes[0], diagnosis)
     draw_signals(axes[1:], recording.time, recording.signals)
@@ -88,9 +96,13 @@ def diagnosis_page(
     if diagnosis.checked.findings:
         page.table(findings_frame(diagnosis.checked.findings), "Findings", words=True)
     samples = diagnosis.checked.samples
-    facts = {
+    began = "without a date"
+    if recording.begin > FIRST_DATE:
+        began = datetime.fromtimestamp(recording.begin, UTC).isoformat(" ", "seconds")
+    facts: dict[str, Any] = {
         "recording": recording.source,
         "rig assumed": rig_line(diagnosis.task.plant),
+        "begins": began,
         "duration, s": float(recording.time[-1]),
         "rows": len(recording.time),
         "control period, ms": 1e3 * samples.period,

@@ -1,5 +1,6 @@
-"""Watches axes over months.
+"""Watches the axes of a fleet, while they run and over months.
 
-Recordings of each day come in; one table with a row per reading, a page, and an exit code for timers go out. Open
-``watch.py`` first, then ``trend.py`` (what the table says about an axis).
+Rows of running axes or recordings of each day come in; one table with a row per reading, a page of all axes, and an
+exit code for timers go out. Open ``fleet.py`` first, then ``watch.py`` (files) or ``stream.py`` (rows), and
+``trend.py`` (what the table says about an axis).
 """

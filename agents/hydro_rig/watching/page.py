@@ -1,59 +1,79 @@
-"""The page of ``hydro trend``: a row per axis, the most urgent first, and the sizes over weeks."""
+"""The page of all axes: a line for each, the most urgent first, and below it the sizes over weeks."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
-from hydro_agents.report.kit import BLUE, GOLD, GREEN, GREY, INK, ORANGE, Page, drawn, panels
+from hydro_agents.report.kit import BLUE, GOLD, GREEN, GREY, INK, ORANGE, Page, drawn, panel, sparkline
 from hydro_agents.running.text import number
+from hydro_env.types import Floats
 from hydro_rig.diagnosis.verdict import Kind
-from hydro_rig.watching.trend import DAY, AxisTrend, State
+from hydro_rig.watching.trend import DAY, AxisTrend, Condition
 
 COLOURS = {Kind.HEALTHY: GREEN, Kind.LEAK: ORANGE, Kind.OTHER: GOLD, Kind.UNKNOWN: GREY}
-STYLES = {State.HEALTHY: "good", State.LEAK: "worse"}
-MOST_PANELS = 20  # axes with a panel
-LOWEST = 1e-3  # l/min; lower end of the scale
+STYLES = {Condition.GOOD: "good", Condition.OUT: "worse", Condition.FAILURE: "worse", Condition.MAINTENANCE: "worse"}
+MOST_PANELS = 20  # axes with a figure; the others have a line
+LOWEST, HIGHEST = 1e-3, 20.0  # l/min; ends of the scale
+SPARKS = 60  # readings in the small line of an axis
 
 
 @drawn
 def trend_page(trends: Sequence[AxisTrend], table: str, left_out: Sequence[str]) -> Page:
     """The page of axes, the most urgent first; ``table`` names the file with the readings."""
-    page = Page("Leaks over time", f"All readings: {table} beside this page.")
-    page.verdict(trends[0].line(), STYLES.get(trends[0].states[0], "doubtful"))
-    rows = {}
-    for one in trends:
-        facts = one.facts()
-        date = "" if facts["limit_reached"] is None else facts["limit_reached"]["value"]
-        rows[one.axis] = {
-            "state": ", ".join(one.states),
-            "leak, l/min": "–" if np.isnan(one.leak.value) else " to ".join(number(v, digits=2) for v in one.leak[1:]),
-            "limit reached": date,
-            "last reading": facts["last"] or "none",
-            "age, d": facts["age_days"],
-            "readings": len(one.rows),
-        }
-    page.table(pd.DataFrame.from_dict(rows, orient="index"), "Axes; leaks at 100 bar and 40 °C, 90 %", words=True)
-    shown = [one for one in trends if len(one.rows)][:MOST_PANELS]
-    if shown:
-        all_axes = panels(len(shown), height=0.6 + 1.6 * len(shown), sharey=True)
-        for axes, one in zip(all_axes, shown, strict=True):
-            draw_axis(axes, one)
-        page.figure(all_axes, "Leak of each axis", "Dashed: the limit. Vertical: repairs. Blue: the trend.")
+    page = Page("Axes and their leaks", f"All readings: {table} beside this page.")
+    counts = Counter(one.condition for one in trends)
+    page.verdict(", ".join(f"{counts[one]} {one}" for one in Condition if counts[one]), _style(trends[0]))
+    with page.links():
+        for one in trends:
+            page.link(one.axis, _style(one), _cells(one), sparkline(_sizes(one)[-SPARKS:, 0], one.limit))
+    page.text(
+        "Leaks in l/min at 100 bar and 40 °C with 90 % intervals, of their limits (dashed); last reading and its age.",
+        "soft",
+    )
     if left_out:
         with page.fold("Files that were not read", opened=True):
             page.points(left_out)
+    for place, one in enumerate(trends):
+        page.heading(one.axis)
+        page.text(one.line())
+        if place < MOST_PANELS and len(one.rows):
+            axes = panel(height=2.6)
+            draw_axis(axes, one)
+            page.figure(axes, f"Leak of {one.axis}", "Dashed: the limit. Vertical: repairs. Blue: the trend.")
     return page
+
+
+def _style(one: AxisTrend) -> str:
+    return STYLES.get(one.condition, "doubtful")
+
+
+def _cells(one: AxisTrend) -> list[str]:
+    """Condition, leak, date or state, and last reading of an axis, for one line of the list."""
+    facts = one.facts()
+    leak, note, age = "no size", ", ".join(one.states), "no reading"
+    if np.isfinite(one.leak.value):
+        leak = "{} ({} to {}) of {}".format(*(number(size, digits=2) for size in (*one.leak, one.limit)))
+    if facts["limit_reached"] is not None:
+        note = f"limit {facts['limit_reached']['value']}"
+    if facts["last"] is not None:
+        age = f"{facts['last'][:16].replace('T', ' ')}, {facts['age_days']:.1f} d"
+    return [one.condition, leak, note, age]
+
+
+def _sizes(one: AxisTrend) -> Floats:
+    """Sizes with the ends of their intervals on the scale of the figure, (readings, 3)."""
+    sizes: Floats = one.rows[["size_40", "low_40", "high_40"]].clip(LOWEST, HIGHEST).to_numpy(dtype=np.float64)
+    return sizes
 
 
 def draw_axis(axes: Axes, one: AxisTrend) -> None:
     """Readings with 90 % intervals by verdict, limit, repairs and trend; days since 1970, as figures count them."""
-    days = one.rows["begin"] / DAY
-    sizes = one.rows[["size_40", "low_40", "high_40"]].clip(lower=LOWEST).to_numpy(dtype=np.float64)
+    days, sizes = one.rows["begin"] / DAY, _sizes(one)
     for kind, colour in COLOURS.items():
         chosen = (one.rows["verdict"] == kind).to_numpy() & np.isfinite(sizes[:, 0])
         if chosen.any():
@@ -66,7 +86,9 @@ def draw_axis(axes: Axes, one: AxisTrend) -> None:
     if one.dated:
         ends = one.now / DAY + np.array([0.0, one.growth.ahead.value])
         axes.plot(ends, [one.growth.level.value, one.limit], color=BLUE, marker="")
-    axes.set(yscale="log", ylabel=f"{one.axis}, l/min")
+    axes.set(yscale="log", ylabel="leak, l/min", ylim=(LOWEST, HIGHEST))
+    axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
+    axes.set_yticks([], minor=True)
     locator = AutoDateLocator(minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]

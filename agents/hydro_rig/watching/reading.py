@@ -13,17 +13,17 @@ import numpy as np
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_rig.diagnosis.diagnose import read_windows
+from hydro_rig.diagnosis.oil import Oil, referred, temperature_of
 from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged
 from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, combined
 from hydro_rig.diagnosis.volume_balance import leak_of_blocks
 from hydro_rig.estimation.progress import told_to
-from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.parts import liveliest
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import bridged, cut, on_grid
-from hydro_rig.watching.oil import Oil, referred
+from hydro_rig.watching.fleet import Axis
 
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
 WINDOW = 2.0  # s
@@ -32,16 +32,16 @@ FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the 
 _DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
 
 
-def row_of_file(path: Path, config: TaskConfig, columns: ColumnMap | None, oil: Oil) -> dict[str, Any]:
+def row_of_file(path: Path, axis: Axis) -> dict[str, Any]:
     """The row of a file: its first and last stamp (s since 1970), and what :func:`row_of` reads.
 
     Raises:
         ConfigurationError: the file cannot be read, or holds no rows.
     """
-    rows = read_recording(path, columns)
+    rows = read_recording(path, axis.columns)
     clock = 0.0 if FIRST_DATE <= rows.begin <= LAST_DATE else _began(path) - rows.begin
     last = rows.begin + float(rows.time[-1])
-    return {"time": clock + rows.begin, "until": clock + last, **row_of(rows, config, oil)}
+    return {"time": clock + rows.begin, "until": clock + last, **row_of(rows, axis.task, axis.oil)}
 
 
 def _began(path: Path) -> float:
@@ -60,9 +60,7 @@ def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_
     config = on_grid(config, checked.samples.period)
     windows = cut(bridged(checked.samples)[0], round(WINDOW / config.control_period))
     chosen = windows.part(liveliest(windows, most, SECTION))
-    warm = chosen.auxiliary_signal("oil_temperature")
-    if np.isfinite(warm).any():
-        row["temperature"] = float(np.nanmean(warm))
+    row["temperature"] = temperature_of(chosen.auxiliary_signal("oil_temperature"))
     balance = leak_of_blocks(flow_blocks(recording))
     if balance is not None:
         at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, row["temperature"])

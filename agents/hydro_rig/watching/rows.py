@@ -17,6 +17,7 @@ from hydro_agents.detection.detector import AUXILIARY
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
+from hydro_rig.watching.fleet import Fleet
 
 SIGNALS = (*MEASURED, *AUXILIARY)
 """Of a row, in this order."""
@@ -74,15 +75,15 @@ class RowReader:
     """Reads lines; the first line decides whether they are CSV or line protocol.
 
     Args:
-        columns: the signal of each column or field; default: the names that ``hydro record`` writes.
+        fleet: gives the signal of each column or field of an axis; default: the names that ``hydro record`` writes.
         tag: name of the column, or of the tag, that names the axis.
     """
 
-    def __init__(self, columns: ColumnMap | None = None, tag: str = TAG) -> None:
-        self._map, self._tag = columns, tag
+    def __init__(self, fleet: Fleet | None = None, tag: str = TAG) -> None:
+        self._fleet, self._tag = fleet, tag
         self._headings: list[str] | None = None  # of a CSV
         self._separator = ","
-        self._columns: dict[tuple[str, ...], _Columns] = {}  # by headings
+        self._columns: dict[tuple[str, ...], _Columns] = {}  # by axis and headings
         self._gathered: dict[str, tuple[float, dict[str, str]]] = {}  # line protocol: time and fields, by axis
         self._lines = 0
 
@@ -90,7 +91,7 @@ class RowReader:
         """The row of a line; ``None`` of a comment, an empty line or the heading line.
 
         Raises:
-            RowError: the line is no row.
+            RowError: the line is no row, or one of an axis that the fleet's file does not name.
             ConfigurationError: a column or its unit is missing.
         """
         self._lines += 1
@@ -104,24 +105,30 @@ class RowReader:
             return self._of_protocol(parts)
         self._separator = max(";\t,", key=text.count)
         self._headings = [cell.strip().strip('"') for cell in text.split(self._separator)]
-        self._of_headings(self._headings)  # names what is missing at once
+        if self._tag not in self._headings:
+            self._columns_of(ALONE, self._headings)  # names what is missing at once
         return None
 
-    def _of_headings(self, headings: Sequence[str]) -> _Columns:
-        key = tuple(headings)
+    def _columns_of(self, axis: str, headings: Sequence[str]) -> _Columns:
+        key = (axis, *headings)
         if key not in self._columns:
-            self._columns[key] = _Columns(headings, self._map, "rows")
+            why = "" if self._fleet is None else self._fleet.missing(axis)
+            if why:
+                raise RowError(why)
+            columns = None if self._fleet is None else self._fleet.axis(axis).columns
+            self._columns[key] = _Columns(headings, columns, "rows")
         return self._columns[key]
 
     def _of_cells(self, text: str) -> Row | None:
         assert self._headings is not None
         cells = [cell.strip().strip('"') for cell in text.split(self._separator)]
-        columns, axis = self._of_headings(self._headings), ALONE
+        axis = ALONE
         if set(cells) == set(self._headings):  # another file begins
             self._headings = cells
             return None
         if self._tag in self._headings:
             axis = cells[min(self._headings.index(self._tag), len(cells) - 1)]
+        columns = self._columns_of(axis, self._headings)
         if columns.time >= len(cells):
             raise RowError(f"line {self._lines}: has {len(cells)} cells, the heading line has {len(self._headings)}")
         return Row(axis, self._time(cells[columns.time], columns.time_unit), columns.values(cells))
@@ -142,7 +149,7 @@ class RowReader:
             return None
         cells = ["", *(text.removesuffix("i").strip('"') for text in gathered.values())]
         try:
-            return Row(axis, before, self._of_headings(["time", *gathered]).values(cells))
+            return Row(axis, before, self._columns_of(axis, ["time", *gathered]).values(cells))
         except ConfigurationError as error:
             raise RowError(f"line {self._lines}: {error}") from None
 

@@ -10,12 +10,12 @@ import json
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from enum import StrEnum
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from hydro_agents.detection.activity import activity_of
 from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm
@@ -23,11 +23,12 @@ from hydro_agents.detection.detector import Cause, Reading, Windows
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.running.text import number
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError
 from hydro_env.errors import reason
 from hydro_env.files import read_json, write_text
 from hydro_env.folders import config_folder
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
+from hydro_rig.diagnosis.oil import referred, temperature_of
 from hydro_rig.diagnosis.verdict import Kind, Leak
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.two_stage import TwoStageDetector
@@ -36,9 +37,10 @@ from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, bridged, cut, on_grid, sampled
-from hydro_rig.watching.oil import Oil, referred
+from hydro_rig.watching.fleet import Axis, Fleet
 from hydro_rig.watching.rows import SIGNALS, Row, RowError, RowReader, in_protocol
-from hydro_rig.watching.table import File, read_table, with_row
+from hydro_rig.watching.table import File, read_table, with_row, write_table
+from hydro_rig.watching.trend import Condition
 
 KEPT = 10.0  # s of rows per axis, on which the wiring is checked
 WINDOW = 2.0  # s
@@ -53,17 +55,6 @@ MOST_AXES = 1000
 READING_EVERY = 3600.0  # s between two rows of the table per axis
 
 
-class Condition(StrEnum):
-    """The state of an axis, NAMUR NE 107."""
-
-    FAILURE = "failure"  # a sensor that the diagnosis needs is faulty
-    CHECK = "function check"  # the rows do not suit the rig: wiring, units, clock
-    OUT = "out of specification"  # the leak exceeds its limit
-    MAINTENANCE = "maintenance required"  # the axis leaks, or something else is worn
-    GOOD = "good"
-    NO_DATA = "no data"
-
-
 class Look(NamedTuple):
     """What a look at an axis tells."""
 
@@ -72,7 +63,8 @@ class Look(NamedTuple):
     condition: Condition
     since: float  # s
     cause: str  # in words; empty: none
-    leak: Leak  # l/min at 100 bar; NaN: this look has no answer
+    leak: Leak  # l/min at 100 bar and 40 °C; NaN: this look has no answer
+    temperature: float  # of the oil, °C; NaN: unknown
 
     def fields(self) -> dict[str, Any]:
         """For another program; ``None``: unknown."""
@@ -95,24 +87,24 @@ class AxisWatch:
     """One axis: its newest rows, its detector and its alarm.
 
     Args:
-        axis: its name.
-        task: on the rig of the axis.
-        limit: leak beyond which the axis is out of specification, l/min at 100 bar.
+        name: of the axis.
+        axis: its task, its oil, and the leak beyond which it is out of specification.
     """
 
-    def __init__(self, axis: str, task: TaskConfig, limit: float) -> None:
-        self.axis, self.task, self.limit = axis, task, limit
+    def __init__(self, name: str, axis: Axis) -> None:
+        self.name, self.axis, self.task = name, axis, axis.task
         settings = AlarmSettings.load(config_folder() / "agents" / "alarm.yaml")
         self._alarm, self.interval = LeakAlarm(settings), settings.interval
         self.memory: AlarmState = self._alarm.begin(1)
         self.condition, self.since = Condition.NO_DATA, np.nan
         self._detector = TwoStageDetector(HeadDetector.load(), EstimatorDetector(threads=1))
-        self._scale = leak_scale(task)
-        self._most = max(round(KEPT / task.control_period), 100)
+        self._scale = leak_scale(self.task)
+        self._most = max(round(KEPT / self.task.control_period), 100)
         self._rows: deque[tuple[float, Any]] = deque(maxlen=self._most)
         self._due = np.nan
         self._causes: deque[str] = deque(maxlen=LATEST)
         self._looks, self._since_look, self._found = 0, 0, list[Finding]()
+        self.repaired = ""  # time of the newest row of the table that is marked as that of a new seal
         self._sure = -np.inf  # s, of the last answer whose whole interval lies below the limit
 
     @property
@@ -125,7 +117,7 @@ class AxisWatch:
         if self._rows and row.time < self.newest - SET_BACK:
             self._rows.clear()
             self._due, self._looks, self._sure = np.nan, 0, -np.inf
-            return self._told(row.time, Condition.CHECK, "the clock was set back", NOTHING)
+            return self._told(row.time, Condition.CHECK, "the clock was set back")
         self._rows.append((row.time, row.values))
         self._since_look += 1
         if np.isnan(self._due):
@@ -140,7 +132,7 @@ class AxisWatch:
         late = SILENT * self.interval <= now - self.newest < DAY
         if self.condition is Condition.NO_DATA or not late:
             return None
-        return self._told(now, Condition.NO_DATA, "no row", NOTHING)
+        return self._told(now, Condition.NO_DATA, "no row")
 
     def look(self) -> Look:
         """Check the rows, read the newest window, and sum up; the wiring is checked at every third look."""
@@ -156,18 +148,20 @@ class AxisWatch:
                 first = int(np.searchsorted(rows.time, rows.time[-1] - MARGIN * WINDOW))
                 samples = sampled(rows.part(first, len(rows.time)), self.task)
         except ConfigurationError as error:
-            return self._told(now, Condition.CHECK, str(error), NOTHING)
+            return self._told(now, Condition.CHECK, str(error))
         severe = [one for one in (*self._found, *samples.findings) if one.weight is Weight.SEVERE]
         if severe:
-            return self._told(now, Condition.CHECK, severe[0].line(), NOTHING)
+            return self._told(now, Condition.CHECK, severe[0].line())
         windows = self._newest_window(bridged(samples)[0], now)
         if not len(windows):
-            return self._told(now, Condition.CHECK, "fewer rows than one window", NOTHING)
+            return self._told(now, Condition.CHECK, "fewer rows than one window")
         reading = self._detector.read(windows, on_grid(self.task, samples.period))
         blind = bool(np.isnan(rows.signals[[PRESSURE_A, PRESSURE_B]]).all())  # a faulty seal can then look healthy
-        if reading.sized[0] and reading.high_lpm[0] <= self.limit and not blind:
+        temperature = temperature_of(rows.auxiliary.get("oil_temperature", np.zeros(0)))
+        leak = referred(_leak_of(reading), self.axis.oil, temperature)
+        if leak.high <= self.axis.limit and not blind:
             self._sure = now
-        condition, cause = self._summed_up(reading, activity_of(windows.signals, samples.period))
+        condition, cause = self._summed_up(reading, leak, activity_of(windows.signals, samples.period))
         if condition is Condition.GOOD and now - self._sure > UNSURE:
             condition, cause = (
                 Condition.CHECK,
@@ -175,7 +169,7 @@ class AxisWatch:
             )
         if self._found:
             condition, cause = Condition.FAILURE, self._found[0].line()
-        return self._told(now, condition, cause, _leak_of(reading))
+        return self._told(now, condition, cause, leak, temperature)
 
     def _recording(self) -> Recording:
         """The kept rows."""
@@ -189,7 +183,7 @@ class AxisWatch:
             elif name not in MEASURED and present:
                 auxiliary[name] = row
         signals = values[: len(MEASURED)]
-        return Recording(self.axis, stamps - stamps[0], signals, {}, findings, auxiliary, float(stamps[0]))
+        return Recording(self.name, stamps - stamps[0], signals, {}, findings, auxiliary, float(stamps[0]))
 
     @staticmethod
     def _newest_window(samples: Sampled, now: float) -> Windows:
@@ -201,7 +195,7 @@ class AxisWatch:
         ends = np.full(len(newest), now)
         return Windows(newest.signals, ends - WINDOW, ends, newest.auxiliary)
 
-    def _summed_up(self, reading: Reading, activity: Any) -> tuple[Condition, str]:
+    def _summed_up(self, reading: Reading, leak: Leak, activity: Any) -> tuple[Condition, str]:
         """The condition by the alarm and by the causes of the last looks."""
         size = reading._replace(score=reading.score / self._scale, sigma=reading.sigma / self._scale)
         alarm, self.memory = self._alarm.update(size, activity, self.memory)
@@ -209,30 +203,40 @@ class AxisWatch:
         if reading.answers[0]:
             self._causes.append("" if named is Cause.NONE else str(reading.fault[0]) or named.in_full)
         if alarm.alarm[0]:
-            too_much = bool(reading.sized[0]) and reading.low_lpm[0] > self.limit
+            too_much = leak.low > self.axis.limit
             return Condition.OUT if too_much else Condition.MAINTENANCE, Cause.INTERNAL_LEAK.in_full
         for cause in set(self._causes) - {""}:
             if self._causes.count(cause) >= AGREE:
                 return Condition.MAINTENANCE, cause
         return Condition.GOOD, ""
 
-    def _told(self, now: float, condition: Condition, cause: str, leak: Leak) -> Look:
+    def _told(
+        self, now: float, condition: Condition, cause: str, leak: Leak = NOTHING, temperature: float = np.nan
+    ) -> Look:
         if condition is not self.condition:
             self.condition, self.since = condition, now
-        return Look(self.axis, now, condition, self.since, cause, leak)
+        return Look(self.name, now, condition, self.since, cause, leak, temperature)
+
+    def repair(self, table: pd.DataFrame) -> None:
+        """Forget the alarm if the table has a new mark of a repair."""
+        marked = table["time"][(table["axis"] == self.name) & (table["repaired"] != "")].max()
+        if isinstance(marked, str) and marked > self.repaired:
+            self.memory, self.repaired = self._alarm.begin(1), marked
+            self._causes.clear()
 
     def kept(self) -> dict[str, Any]:
         """What a restart needs (JSON)."""
         memory = {name: values.tolist() for name, values in self.memory._asdict().items()}
-        return {"condition": self.condition.value, "since": self.since, "alarm": memory}
+        return {"condition": self.condition.value, "since": self.since, "alarm": memory, "repaired": self.repaired}
 
     def restore(self, kept: dict[str, Any]) -> None:
         """Take over what :meth:`kept` gave."""
         try:
             self.condition, self.since = Condition(kept["condition"]), float(kept["since"])
+            self.repaired = str(kept["repaired"])
             self.memory = AlarmState(**{name: np.array(values) for name, values in kept["alarm"].items()})
         except (KeyError, TypeError, ValueError) as error:
-            raise ConfigurationError(f"the memory of hydro watch: axis '{self.axis}': {reason(error)}") from None
+            raise ConfigurationError(f"the memory of hydro watch: axis '{self.name}': {reason(error)}") from None
 
 
 def _leak_of(reading: Reading) -> Leak:
@@ -245,14 +249,12 @@ class FleetWatch:
     """All axes, the table of their readings, and the file that a restart reads.
 
     Args:
-        task_of: the task of an axis by its name.
-        limit: of the leak, l/min at 100 bar, on the default rig; it is scaled with the flow of the valve.
+        fleet: what is known about the axes.
         table_file: as that of ``hydro trend``; the memory of the alarms lies beside it.
-        oil: in the axes.
     """
 
-    def __init__(self, task_of: Callable[[str], TaskConfig], limit: float, table_file: Path, oil: Oil) -> None:
-        self._task_of, self._limit, self._oil = task_of, limit, oil
+    def __init__(self, fleet: Fleet, table_file: Path) -> None:
+        self._fleet = fleet
         self._file, self._memory_file = table_file, table_file.with_suffix(".json")
         self.table = read_table(table_file)
         self.axes: dict[str, AxisWatch] = {}
@@ -267,10 +269,10 @@ class FleetWatch:
         if axis is None:
             if len(self.axes) >= MOST_AXES:
                 raise ConfigurationError(f"more than {MOST_AXES} axes; --tag names the column or tag of the axis")
-            task = self._task_of(row.axis)
-            axis = AxisWatch(row.axis, task, self._limit * leak_scale(task))
+            axis = AxisWatch(row.axis, self._fleet.axis(row.axis))
             if row.axis in self._kept:
                 axis.restore(self._kept[row.axis])
+            axis.repair(self.table)
             self.axes[row.axis] = axis
         before = axis.condition
         look = axis.add(row)
@@ -300,10 +302,10 @@ class FleetWatch:
             try:
                 row = reader.row(line)
             except RowError as error:
-                kind = str(error).partition(": ")[2][:40]
-                if kind not in told:
+                kind = str(error).partition(": ")[2][:40] or str(error)
+                if kind not in told and len(told) < MOST_AXES:
                     print(f"hydro: left out: {error}", file=sys.stderr)
-                told.add(kind)
+                    told.add(kind)
                 continue
             if row is not None and np.isfinite(row.time):
                 yield from self.add(row)
@@ -323,13 +325,14 @@ class FleetWatch:
             del self._best[look.axis]
 
     def _write(self, look: Look, best: Look) -> None:
-        leak = referred(best.leak, self._oil, np.nan)
         kind = {Condition.GOOD: Kind.HEALTHY, Condition.CHECK: Kind.UNKNOWN, Condition.FAILURE: Kind.OTHER}
         verdict = kind.get(look.condition, Kind.OTHER)
         if self.axes[look.axis].memory.alarm[0]:
             verdict = Kind.LEAK
-        sizes = {"size_40": leak.value, "low_40": leak.low, "high_40": leak.high}
+        sizes = {"size_40": best.leak.value, "low_40": best.leak.low, "high_40": best.leak.high}
         row = {"time": best.time, "until": look.time, "verdict": verdict.value, "reason": look.cause, **sizes}
         name = f"{look.axis}/watched {number(best.time, 12)}"
-        self.table = with_row(self.table, File(self._file, look.axis, name, 0), row | {"temperature": np.nan})
-        write_text(self._file, self.table.to_csv(index=False, lineterminator="\n"))
+        table = read_table(self._file)  # a person may have marked a repair
+        self.axes[look.axis].repair(table)
+        self.table = with_row(table, File(self._file, look.axis, name, 0), row | {"temperature": best.temperature})
+        write_table(self._file, self.table)

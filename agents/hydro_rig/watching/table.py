@@ -1,6 +1,6 @@
 """The table of ``hydro trend``: one CSV file with a row per reading; and the recordings that it is made of.
 
-It is written as a whole after each file, so that an interruption loses nothing. It may be edited by hand: a mark in the
+It is written as a whole, so that an interruption leaves no half of it. It may be edited by hand: a mark in the
 column ``repaired`` says that the seal was new from that row on, and further columns stay.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_env import ConfigurationError
+from hydro_env.files import write_text
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.recordings.files import ENDINGS
@@ -108,6 +109,11 @@ def read_table(path: Path) -> pd.DataFrame:
     except ValueError as error:
         raise ConfigurationError(f"{path}: is no table of hydro trend: {' '.join(str(error).split())[:200]}") from None
     return table
+
+
+def write_table(path: Path, table: pd.DataFrame) -> None:
+    """Write the rows."""
+    write_text(path, table.to_csv(index=False, lineterminator="\n"))
 
 
 def with_row(table: pd.DataFrame, file: File, found: dict[str, Any]) -> pd.DataFrame:

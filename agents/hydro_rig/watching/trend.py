@@ -12,9 +12,10 @@ import pandas as pd
 from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_agents.running.statistics import Interval
 from hydro_agents.running.text import number
+from hydro_rig.diagnosis.oil import Oil, common_error
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
+from hydro_rig.watching.fleet import Axis
 from hydro_rig.watching.growth import NO_GROWTH, UNKNOWN, Growth, growth
-from hydro_rig.watching.oil import Oil, common_error
 from hydro_rig.watching.table import seconds, stamp
 
 DAY = 86400.0  # s
@@ -43,6 +44,27 @@ CODES = {**{State(kind): code for kind, code in EXIT_CODES.items()}, State.UNREA
 """Exit codes; that of the command is the code of the most serious state of an axis."""
 
 
+class Condition(StrEnum):
+    """What the person who maintains an axis does about it, NAMUR NE 107; the most urgent first."""
+
+    FAILURE = "failure"  # a sensor that the diagnosis needs is faulty
+    OUT = "out of specification"  # the leak exceeds its limit
+    MAINTENANCE = "maintenance required"  # the axis leaks, or something else is worn
+    CHECK = "function check"  # its rows or files tell nothing: wiring, units, clock, rig
+    NO_DATA = "no data"
+    GOOD = "good"
+
+
+CONDITIONS = {
+    State.LEAK: Condition.MAINTENANCE,
+    State.OTHER: Condition.MAINTENANCE,
+    State.UNREAD: Condition.CHECK,
+    State.STALE: Condition.NO_DATA,
+    State.UNKNOWN: Condition.CHECK,
+    State.HEALTHY: Condition.GOOD,
+}
+
+
 class AxisTrend(NamedTuple):
     """An axis over weeks."""
 
@@ -55,6 +77,11 @@ class AxisTrend(NamedTuple):
     limit: float  # l/min at 100 bar and 40 °C
     last: float  # s since 1970, end of the last reading; NaN: none
     now: float  # s since 1970
+
+    @property
+    def condition(self) -> Condition:
+        """By the most serious state, and by the limit."""
+        return Condition.OUT if self.leak.value >= self.limit else CONDITIONS[self.states[0]]
 
     @property
     def dated(self) -> bool:
@@ -78,6 +105,7 @@ class AxisTrend(NamedTuple):
             dates = {name: stamp(self.now + DAY * ahead)[:10] if ahead < 1e5 else None for name, ahead in days.items()}
         return {
             "axis": self.axis,
+            "condition": self.condition.value,
             "state": self.states[0].value,
             "states": [state.value for state in self.states],
             "exit_code": CODES[self.states[0]],
@@ -108,14 +136,13 @@ class AxisTrend(NamedTuple):
         return f"{text}; last reading {age}"
 
 
-def trend_of(axis: str, rows: pd.DataFrame, limit: float, oil: Oil, error: str, now: float | None = None) -> AxisTrend:
+def trend_of(name: str, rows: pd.DataFrame, axis: Axis, error: str, now: float | None = None) -> AxisTrend:
     """The trend of one axis.
 
     Args:
-        axis: its name.
+        name: of the axis.
         rows: of the table.
-        limit: l/min at 100 bar and 40 °C.
-        oil: in the axis.
+        axis: its oil and its limit.
         error: of its newest file; empty: that was read.
         now: s since 1970; default: the end of the last reading.
     """
@@ -128,14 +155,16 @@ def trend_of(axis: str, rows: pd.DataFrame, limit: float, oil: Oil, error: str, 
     stale = abs(now - last) > late  # also by a clock that runs ahead
     repaired = rows["begin"][rows["repaired"] != ""].max()
     since = rows if np.isnan(repaired) else rows[rows["begin"] >= repaired]
-    found = NO_GROWTH if stale else _growth(since, limit, oil, now / DAY)
+    found = NO_GROWTH if stale else _growth(since, axis.limit, axis.oil, now / DAY)
     sized = since[since["verdict"].isin([Kind.HEALTHY, Kind.LEAK]) & since["size_40"].notna()]
     latest = Interval(*sized[["size_40", "low_40", "high_40"]].iloc[-1]) if len(sized) else UNKNOWN
-    reasons = _reasons(since, limit, latest, found)
+    reasons = _reasons(since, axis.limit, latest, found)
     if error:
         reasons[State.UNREAD] = error
     if stale:
         reasons[State.STALE] = f"no reading within {late / DAY:.0f} d"
+    if not reasons:
+        reasons[State.STALE] = "no reading"
     if len(reasons) > 1:
         reasons.pop(State.HEALTHY, None)
     if State.LEAK in reasons and latest.low > found.level.high:
@@ -143,7 +172,7 @@ def trend_of(axis: str, rows: pd.DataFrame, limit: float, oil: Oil, error: str, 
     states = sorted(reasons, key=SERIOUS)
     reason = "; ".join(reasons[state] for state in states if reasons[state])
     leak = latest if np.isnan(found.level.value) else found.level
-    return AxisTrend(axis, rows, states, reason, found, leak, limit, last, now)
+    return AxisTrend(name, rows, states, reason, found, leak, axis.limit, last, now)
 
 
 def _growth(rows: pd.DataFrame, limit: float, oil: Oil, now: float) -> Growth:

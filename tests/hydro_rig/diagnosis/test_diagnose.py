@@ -10,10 +10,11 @@ from browser import problems_everywhere
 from command_line import assert_one_clear_line, hydro, own_lines
 from recorded import CONFIG, recorded_file
 
-from hydro_agents.detection.detector import Why
+from hydro_agents.detection.detector import Why, Windows
 from hydro_agents.detection.operations import MOTIONS
 from hydro_env.task.configuration import task_config
-from hydro_env.task.sensors import SPOOL
+from hydro_env.task.sensors import COMMAND, POSITION, SPOOL
+from hydro_rig.diagnosis.diagnose import spread
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.recordings.quality import check_recording
@@ -150,3 +151,15 @@ def test_a_leak_beside_sharp_edges_is_read_and_their_lap_is_no_fault():
     assert found.value("valve.overlap")[0] == pytest.approx(-0.0075, abs=0.002)
     assert reading.low_lpm[0] < 1.0 < reading.high_lpm[0]
     assert not reading.fault.any()
+
+
+def test_a_long_recording_is_read_in_windows_that_move_all_over_it():
+    rows = np.zeros((100, 5, 8))
+    rows[:, POSITION] = np.where(np.arange(100)[:, None] % 10 == 7, np.arange(8) % 2, 0.0)  # every tenth moves
+    rows[57, COMMAND, 3] = np.nan  # without all commands
+    windows = Windows(rows, np.arange(100.0), np.arange(1.0, 101.0))
+    read = spread(windows, 10).begin
+    assert read[[0, 1, 2, 3, 4, 6, 7, 8, 9]].tolist() == [7, 17, 27, 37, 47, 67, 77, 87, 97]
+    assert 50 <= read[5] < 60
+    assert read[5] != 57
+    assert spread(windows, 100) is windows

@@ -15,13 +15,15 @@ from refusal import refused
 
 from hydro_agents.learning.loading import shipped
 from hydro_env import TaskConfig
+from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.simulated import record_axis
-from hydro_rig.watching.oil import Oil
+from hydro_rig.watching.fleet import Axis, Fleet
 from hydro_rig.watching.rows import SIGNALS, RowError, RowReader, in_protocol
 from hydro_rig.watching.sources import MOST_LINES, broker, lines_of
-from hydro_rig.watching.stream import Condition, FleetWatch
-from hydro_rig.watching.table import read_table
+from hydro_rig.watching.stream import FleetWatch
+from hydro_rig.watching.table import read_table, write_table
+from hydro_rig.watching.trend import Condition
 
 TASK = TaskConfig(episode_duration=32.0)
 POSITION, PRESSURE_A, COMMAND = (SIGNALS.index(name) for name in ("position", "pressure_a", "command"))
@@ -45,7 +47,7 @@ def healthy(tmp_path_factory):
 
 
 def fleet_in(folder):
-    return FleetWatch(lambda axis: TASK, 0.5, folder / "watch.csv", Oil.of("46"))
+    return FleetWatch(Fleet(Axis(TASK, None, Oil.of("46"), 0.5)), folder / "watch.csv")
 
 
 def cells(lines):
@@ -78,7 +80,8 @@ def test_a_csv_row_holds_its_signals_in_si_and_its_axis(lines):
 
 def test_line_protocol_is_read_with_escaped_names_and_a_map():
     columns = {"time": "time", "command": {"column": "u", "unit": "V"}, "position": {"column": "pos x", "unit": "mm"}}
-    reader = RowReader(ColumnMap(**columns), tag="machine")
+    fleet = Fleet(Axis(TASK, ColumnMap(**columns), Oil.of("46"), 0.5))
+    reader = RowReader(fleet, tag="machine")
     at = 1700000000250000000
     assert reader.row(rf'plc,machine=lift\ 3,site=a pos\ x=-12.5,note="a, b=c d" {at}') is None
     assert reader.row(rf"plc,machine=lift\ 3 u=5i {at}") is None  # another field at the same time
@@ -86,7 +89,7 @@ def test_line_protocol_is_read_with_escaped_names_and_a_map():
     assert row.axis == "lift 3"
     assert row.time == pytest.approx(1700000000.25, abs=1e-6)
     assert row.values[[POSITION, COMMAND]] == pytest.approx([-0.0125, 0.5])
-    other = RowReader(ColumnMap(**columns))
+    other = RowReader(fleet)
     sent = [in_protocol("m", "lift 3", {r"pos\ x": -12.5, "u": 5.0}, time) for time in (2.5, 3.0)]
     back = [other.row(line) for line in sent][1]
     assert (back.axis, back.time, back.values[COMMAND]) == ("lift 3", 2.5, 0.5)
@@ -247,12 +250,18 @@ def test_a_restart_goes_on_where_it_was(leaking, tmp_path):
     assert first[-1].condition is Condition.MAINTENANCE
     second = next(fleet_in(tmp_path).looks([leaking[0], *leaking[5400:]], RowReader()))
     assert (second.condition, second.since) == (Condition.MAINTENANCE, first[-1].since)
+    table = read_table(tmp_path / "watch.csv")
+    table.loc[table.index[-1], "repaired"] = "new seal"
+    write_table(tmp_path / "watch.csv", table)
+    third = next(fleet_in(tmp_path).looks([leaking[0], *leaking[5400:]], RowReader()))
+    assert third.condition is not Condition.MAINTENANCE  # a repair ends the alarm
+    assert read_table(tmp_path / "watch.csv")["repaired"].tolist()[len(table) - 1] == "new seal"
 
 
 def test_a_kill_and_a_broken_pipe_leave_a_whole_table(leaking, tmp_path):
     """The process is killed right after it printed a look: table and memory are those of that look."""
     program = "from hydro_agents.commands.launcher import main; main()"
-    run = [sys.executable, "-c", program, "watch", "--append", str(tmp_path / "watch.csv")]
+    run = [sys.executable, "-c", program, "watch", "--task", "default", "--append", str(tmp_path / "watch.csv")]
     process = subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     process.stdin.write("\n".join(leaking[:1200]) + "\n")
     process.stdin.flush()

@@ -7,21 +7,26 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from browser import SIZES, open_page, problems_everywhere
 from command_line import assert_one_clear_line, hydro
 from recorded import recorded_file
 from refusal import refused
 
 from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.watching import watch as job
-from hydro_rig.watching.oil import Oil
+from hydro_rig.watching.fleet import Axis, Fleet
+from hydro_rig.watching.page import trend_page
 from hydro_rig.watching.reading import row_of_file
 from hydro_rig.watching.table import COLUMNS, File, files_of, read_table, seconds, stamp, with_row
 from hydro_rig.watching.trend import State, trend_of
 from hydro_rig.watching.watch import Watched, watch
 
 OIL, DAY = Oil.of("46"), 86400.0
+AXIS = Axis(TaskConfig(), None, OIL, 0.3)
+FLEET = Fleet(AXIS)
 START = 1.79e9
 
 
@@ -40,7 +45,7 @@ def row(size, begin=START, verdict=None):
 
 def table_of(sizes, verdict=None, first=START, step=DAY):
     """The table of an axis with a reading a day."""
-    rows = pd.DataFrame([row(size, first + step * day, verdict) for day, size in enumerate(sizes)])
+    rows = pd.DataFrame([row(size, first + step * day, verdict) for day, size in enumerate(sizes)], columns=[*row(0.0)])
     times = {name: rows[name].map(stamp) for name in ("time", "until")}
     return rows.assign(**times, axis="a", file="a/a.csv", bytes=100.0, repaired="")[list(COLUMNS)]
 
@@ -71,7 +76,7 @@ def test_a_file_becomes_one_row_with_the_leak_at_40_degrees(tmp_path):
     recorded_file(path, leakage=0.3, duration=4.0)
     rows = pd.read_csv(path, comment="#").assign(**{"oil_temperature [°C]": 55.0})
     rows.to_csv(path, index=False)
-    found = row_of_file(path, TaskConfig(), None, OIL)
+    found = row_of_file(path, AXIS)
     assert stamp(found["time"]) == "2026-10-03T06:00:00"
     assert found["until"] - found["time"] == pytest.approx(3.995)
     assert found["verdict"] == Kind.LEAK
@@ -90,15 +95,15 @@ def quick(monkeypatch):
 
 def test_nothing_is_appended_twice_and_a_file_that_grew_is_read_again(tmp_path, quick):
     folder, table = recordings(tmp_path / "data", 5), tmp_path / "out" / "trend.csv"
-    first = watch([folder], table)
+    first = watch([folder], table, FLEET)
     assert (first.read, first.known, len(first.left_out)) == (10, 0, 0)
     text = table.read_text()
-    again = watch([folder], table)
+    again = watch([folder], table, FLEET)
     assert (again.read, again.known) == (0, 10)
     assert table.read_text() == text
     recordings(folder, days=6)
     (folder / "one" / "03.csv").write_text("numbers and more")
-    third = watch([folder], table)
+    third = watch([folder], table, FLEET)
     assert (third.read, third.known) == (3, 9)
     rows = read_table(table)
     assert len(rows) == 12
@@ -106,13 +111,27 @@ def test_nothing_is_appended_twice_and_a_file_that_grew_is_read_again(tmp_path, 
     assert list(rows.columns) == list(COLUMNS)
 
 
+def test_a_fleet_lists_axes_without_recordings_and_tells_of_recordings_without_an_axis(tmp_path, quick):
+    folder, fleet = recordings(tmp_path / "data", 20), Fleet(AXIS, {"one": AXIS, "three": AXIS}, "fleet.yaml")
+    done = watch([folder], tmp_path / "trend.csv", fleet)
+    assert {one.axis: one.states[0] for one in done.trends} == {
+        "one": "internal leak",
+        "two": "unread",
+        "three": "stale",
+    }
+    assert (done.read, len(done.left_out), done.exit_code) == (20, 1, 10)
+    before = (tmp_path / "trend.csv").stat().st_mtime_ns
+    assert watch([], tmp_path / "trend.csv", fleet).trends[0].axis == "one"  # the table alone
+    assert (tmp_path / "trend.csv").stat().st_mtime_ns == before
+
+
 def test_a_broken_file_costs_one_line_and_is_read_once_it_is_whole(tmp_path, quick):
     folder = recordings(tmp_path / "data", 4, broken=[("two", 2)])
-    done = watch([folder], tmp_path / "trend.csv")
+    done = watch([folder], tmp_path / "trend.csv", FLEET)
     assert len(read_table(tmp_path / "trend.csv")) == 7
     assert done.left_out == [f"{folder}/two/02.csv: holds no table"]
     (folder / "two" / "02.csv").write_text("numbers")
-    assert watch([folder], tmp_path / "trend.csv").read == 1
+    assert watch([folder], tmp_path / "trend.csv", FLEET).read == 1
 
 
 def test_an_interruption_loses_no_finished_file(tmp_path, monkeypatch):
@@ -127,10 +146,10 @@ def test_an_interruption_loses_no_finished_file(tmp_path, monkeypatch):
     monkeypatch.setattr(job, "row_of_file", interrupted)
     folder = recordings(tmp_path / "data")
     with pytest.raises(KeyboardInterrupt):
-        watch([folder], tmp_path / "trend.csv")
+        watch([folder], tmp_path / "trend.csv", FLEET)
     kept = len(read_table(tmp_path / "trend.csv"))
     assert kept >= 1
-    assert watch([folder], tmp_path / "trend.csv").read == 20 - kept
+    assert watch([folder], tmp_path / "trend.csv", FLEET).read == 20 - kept
 
 
 def test_marks_and_columns_of_the_user_stay(tmp_path):
@@ -213,7 +232,7 @@ GROWING = noisy(0.03 * 10.0 ** (np.arange(30) / 40.0))  # 0.3 on day 40
 
 def trend(table, late=0.0, limit=0.3):
     """The trend of an axis, so many days after its last reading."""
-    return trend_of("a", table, limit, OIL, "", seconds(table["until"]).max() + late * DAY)
+    return trend_of("a", table, AXIS._replace(limit=limit), "", seconds(table["until"]).max() + late * DAY)
 
 
 def test_a_growing_leak_has_a_date_with_an_interval():
@@ -316,6 +335,20 @@ def test_sizes_have_the_error_of_the_thermometer_in_common():
     assert np.log10(level.high / level.low) / (2.0 * HALF_WIDTH) > 0.02  # decades; 1.5 K alone are 0.024
 
 
+def test_the_page_for_monday_is_read_on_a_phone_and_a_click_leads_to_the_axis(browser, tmp_path):
+    tables = {"burst": burst(3.4, 2), "growing": table_of(GROWING), "quiet": table_of(np.full(9, 0.009))}
+    now = START + 60 * DAY
+    trends = [trend_of(name, table, AXIS, "", now) for name, table in tables.items()]
+    trends.append(trend_of("hall2/absent", table_of([]), AXIS, "", now))
+    trends.sort(key=lambda one: one.urgency)
+    assert [one.condition for one in trends] == ["out of specification", "maintenance required", "no data", "no data"]
+    trend_page(trends, "t.csv", []).write(tmp_path / "t.html")
+    assert problems_everywhere(browser, tmp_path / "t.html") == []
+    with open_page(browser, tmp_path / "t.html", width=SIZES[0]) as page:
+        page.click(".links a:has-text('hall2/absent')")
+        assert page.evaluate("document.querySelector(':target').textContent") == "hall2/absent"
+
+
 # The command ---------------------------------------------------------------------------------------------------------
 
 
@@ -336,8 +369,10 @@ def test_the_command_writes_table_and_page_and_ends_with_the_code(tmp_path, quic
 
 
 def test_silence_is_told_with_its_exit_code_on_console_page_and_in_json(tmp_path, quick, monkeypatch):
-    monkeypatch.setattr(job, "USUAL_LIMIT", 30.0)
-    folder, line = recordings(tmp_path / "data", 9), ("trend", tmp_path / "data", "--append", tmp_path / "t.csv")
+    folder, line = (
+        recordings(tmp_path / "data", 9),
+        ("trend", tmp_path / "data", "--append", tmp_path / "t.csv", "--limit", 30),
+    )
     monkeypatch.setattr(job, "time", lambda: START + 8.5 * DAY)
     assert hydro(*line).returncode == 0
     monkeypatch.setattr(job, "time", lambda: START + 54.0 * DAY)
@@ -358,13 +393,13 @@ def test_silence_is_told_with_its_exit_code_on_console_page_and_in_json(tmp_path
     assert found["two"]["last"].startswith("2026-09-29T")
     assert found["two"]["age_days"] == pytest.approx(46.0, abs=0.01)
     page = (tmp_path / "t.html").read_text(encoding="utf-8")
-    assert [name for name in re.findall(r"<th[^>]*row_heading[^>]*>(.*?)</th>", page) if name in states] == [*states]
+    assert re.findall(r'<a class="\w*" href="#\w*"><b>(.*?)</b>', page) == [*states]
 
 
 def test_an_old_file_that_cannot_be_read_does_not_hide_newer_ones(tmp_path, quick):
     folder = recordings(tmp_path / "data", 20, axes=("one",), broken=[("one", 3)])
     os.utime(folder / "one" / "03.csv", (START, START))
-    done = watch([folder], tmp_path / "trend.csv")
+    done = watch([folder], tmp_path / "trend.csv", FLEET)
     assert len(done.left_out) == 1
     assert State.UNREAD not in done.trends[0].states
 
@@ -372,9 +407,9 @@ def test_an_old_file_that_cannot_be_read_does_not_hide_newer_ones(tmp_path, quic
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--oil", "45"), "--oil 45"),
-        (("--rig", "three=kovari_2015"), "known: one, two"),
-        (("--map", "*.txt=map.yaml"), "matches none"),
+        (("--oil", "45"), "oil 45"),
+        (("--map", "absent.yaml"), "absent.yaml"),
+        (("--fleet", "absent.yaml", "--limit", "0.2"), "holds limit itself"),
     ],
 )
 def test_wrong_options_are_told_in_one_line(tmp_path, options, words):

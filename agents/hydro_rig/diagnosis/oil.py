@@ -32,7 +32,7 @@ class Oil(NamedTuple):
     """Kinematic viscosity in mm²/s at 40 and 100 °C.
 
     Example:
-        >>> from hydro_rig.watching.oil import Oil
+        >>> from hydro_rig.diagnosis.oil import Oil
         >>> [round(float(value)) for value in Oil.of("46").viscosity([20.0, 40.0, 60.0])]
         [134, 46, 21]
     """
@@ -54,7 +54,7 @@ class Oil(NamedTuple):
             oil = cls(np.nan, np.nan)
         if not 1.0 <= oil.at_100 < oil.at_40 <= 5000.0:
             raise ConfigurationError(
-                f"--oil {text}: must be an ISO VG grade ({', '.join(map(str, GRADES))}), or mm²/s at 40 °C and at "
+                f"oil {text}: must be an ISO VG grade ({', '.join(map(str, GRADES))}), or mm²/s at 40 °C and at "
                 "100 °C, the second smaller, within 1 to 5000, such as 46/8.1"
             )
         return oil
@@ -78,6 +78,12 @@ class Oil(NamedTuple):
         """
         middle, deviation = (temperature, THERMOMETER) if np.isfinite(temperature) else UNMEASURED
         return self.factor(middle + deviations * deviation * np.array([0.0, -1.0, 1.0]))
+
+
+def temperature_of(readings: Floats) -> float:
+    """Mean of the readings of a thermometer (n,), °C; NaN: there are none."""
+    known = readings[np.isfinite(readings)]
+    return float(known.mean()) if len(known) else np.nan
 
 
 def common_error(oil: Oil, temperature: float) -> float:

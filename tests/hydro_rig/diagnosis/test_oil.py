@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from refusal import refused
 
+from hydro_rig.diagnosis.oil import GRADES, REFERENCE, THERMOMETER, Oil, common_error, referred
 from hydro_rig.diagnosis.verdict import Leak
-from hydro_rig.watching.oil import GRADES, REFERENCE, THERMOMETER, Oil, common_error, referred
 
 KNOWN = ((68.0, 8.6, 28.65), (30.0, 5.23, 14.53), (30.0, 4.24, 13.11), (70.0, 11.1, 32.92), (30.0, 5.81, 15.27))
 """mm²/s at 40, 100 and 60 °C; the last by another program for ASTM D341 (libvisc, its example)."""
@@ -29,7 +29,7 @@ def test_a_grade_is_its_viscosity_at_40_degrees():
 
 @pytest.mark.parametrize("text", ["45", "46/60", "46/0.1", "thick", "", "9999/10"])
 def test_an_impossible_oil_is_told(text):
-    with refused("--oil"):
+    with refused("^oil "):
         Oil.of(text)
 
 
