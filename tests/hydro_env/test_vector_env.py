@@ -72,20 +72,6 @@ def test_equal_to_single_environments_bit_for_bit(mode):
     assert truncations > count  # more than one episode each
 
 
-def test_disabled_mode_asks_for_the_reset():
-    envs = ServoHydraulicVectorEnv(3, autoreset_mode="Disabled", episode_duration=0.05)
-    envs.reset(seed=0)
-    for _ in range(10):
-        envs.step(np.zeros((3, 1)))
-    with pytest.raises(ValueError, match="step: axis 0 has ended; with autoreset_mode Disabled reset it first"):
-        envs.step(np.zeros((3, 1)))
-    envs.reset(options={"reset_mask": np.array([True, True, False])})
-    with pytest.raises(ValueError, match="step: axis 2 has ended"):
-        envs.step(np.zeros((3, 1)))
-    envs.reset(options={"reset_mask": np.array([False, False, True])})
-    assert np.isfinite(envs.step(np.zeros((3, 1)))[0]).all()
-
-
 def test_seeds():
     def first(seed, count=4):
         envs = ServoHydraulicVectorEnv(count)

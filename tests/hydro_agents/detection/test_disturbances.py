@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.detection.detector import MeasuredColumns
-from hydro_agents.detection.disturbances import DISTURBANCES, SUPPLY, Disturbances, Disturbed, drawn
+from hydro_agents.detection.disturbances import SUPPLY, Disturbances, Disturbed
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases, run_cases
@@ -44,16 +44,6 @@ def test_the_supply_follows_its_course(direct):
     seen = np.array(watcher.seen)
     assert seen[-1] / seen[190] == pytest.approx(1.05, abs=0.005)
     assert (seen[205] / seen[190] > 1.045).all() == direct  # the accumulator of the paper's rig takes longer
-
-
-@pytest.mark.parametrize("kind", ["supply sags", "pressure b drifts"])
-def test_a_kind_moves_its_own_row_by_sizes_within_its_range(kind):
-    found = drawn(np.random.default_rng(0), np.array([kind] * 200), 4000, 0.005)
-    row, largest = DISTURBANCES[kind].row, max(np.abs(DISTURBANCES[kind].size))
-    assert not found.course[:, [other for other in range(4) if other != row]].any()
-    assert 0.5 * largest < np.abs(found.course[:, row]).max() <= largest
-    if DISTURBANCES[kind].signed:
-        assert found.course.min() < -0.5 * largest < 0.5 * largest < found.course.max()
 
 
 def test_the_shipped_head_marks_windows_with_a_swinging_supply_as_outside_and_no_others():

@@ -56,20 +56,6 @@ def test_a_file_of_the_user_is_never_replaced(tmp_path, name, options):
     assert (tmp_path / name).read_text() == "mine"
 
 
-def test_nothing_is_left_where_nothing_was_written_and_no_other_folder_is_reached(tmp_path):
-    with pytest.raises(RuntimeError, match="early"), output_folder(tmp_path / "new" / "out", "study", FILES):
-        raise RuntimeError("early")
-    assert list(tmp_path.iterdir()) == []
-    write(tmp_path)
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "mine.txt").write_text("mine")
-    (tmp_path / "out").mkdir()
-    files = {"study": ["../mine.txt", str(tmp_path / "mine.txt"), "../*"]}
-    (tmp_path / "out" / MANIFEST_FILE).write_text(json.dumps({"files": files}))  # as somebody tampered with it
-    write(tmp_path / "out", "a.csv", overwrite=True)
-    assert (tmp_path / "mine.txt").read_text() == "mine"
-
-
 KILLED = """
 import sys, os
 from pathlib import Path
