@@ -51,7 +51,6 @@ EXTERNAL_RESISTANCE = f"leakage.{ROD_SEAL.parameter}"
 PATHS = tuple(path for path in PARAMETER_PATHS if path not in (*MODEL_CODES, *LEAKAGE_OF_THE_TASK, EXTERNAL_RESISTANCE))
 """Parameters of the plant; the leaks have their own names."""
 
-OF_A_WINDOW = (*STARTS, NULL_DRIFT)  # unknowns that windows of one axis do not share
 RISE_TIME_UNKNOWN = 2e-3  # s, standard deviation of the transducers' rise time where the data sheet does not hold
 _SHARE_UNKNOWN = 0.1  # relative standard deviation of a parameter that the task does not draw
 

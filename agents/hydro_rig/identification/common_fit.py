@@ -20,7 +20,7 @@ from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.search import LARGEST_MISFIT, EstimationSettings, timing_priors
 from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of
-from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, RISE_TIME, Prior, prior_of
+from hydro_rig.estimation.unknowns import LATENCY, STARTS, Prior
 
 WELL_FITTED = LARGEST_MISFIT  # of an explained window
 OUTLIER, FAR_OUTLIER = 3.0, 30.0
@@ -47,9 +47,6 @@ UNKNOWN_COMMANDS = 2  # readings at each end of a window that are left out if it
 LINEARISATIONS = 3
 """Of the result, each with differences as long as the uncertainty that the one before has shown. Short ones are rough,
 and roughness looks like information: an unknown without influence would seem to be known."""
-
-MUCH_BETTER = 0.7
-"""A null that wanders is taken where it brings the median misfit below this share; otherwise it only takes up noise."""
 
 STARTING_VALUES = 2  # common fits from different values; the best is taken
 
@@ -129,7 +126,7 @@ def fit_together(problem: Problem, first: Floats) -> Joint:
 
 def shared_and_own(model: Model) -> tuple[Indices, Indices]:
     """Indices of the unknowns that all windows share, and of those that each has for itself."""
-    start = np.array([name in OF_A_WINDOW for name in model.names])
+    start = np.array([name in STARTS for name in model.names])
     return np.flatnonzero(~start), np.flatnonzero(start)
 
 
@@ -151,28 +148,23 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
             second = _common_fit(windows, config, priors, alone)
             best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
     if 2 * best.explained < len(windows) and config.sensors.enabled:
-        timing = {name: prior for name, prior in timing_priors(config).items() if name not in best.model.names}
-        timed = _continued(best, timing) if timing else best
+        timed = _with_timing(best)
         if timed.explained > best.explained:  # otherwise it would only take up another error of the model
             best = timed
-    if 2 * best.explained < len(windows):
-        drifting = _continued(best, {NULL_DRIFT: prior_of(config, NULL_DRIFT)})
-        if np.median(drifting.misfit) < MUCH_BETTER * np.median(best.misfit):
-            best = drifting
     tell(PHASE, 1, 1)
     return best
 
 
-def _continued(found: Common, more: Mapping[str, Prior]) -> Common:
-    """A fit continued with more unknowns.
+def _with_timing(found: Common) -> Common:
+    """A fit continued with an unknown timing.
 
-    With a latency the command may stand a row early or late: the row at which the readings differ least begins.
+    The command may stand a row early or late: the row at which the readings differ least begins.
     """
     readings = found.problem.measured.copy()
+    readings[:, :, :UNKNOWN_COMMANDS] = readings[:, :, -UNKNOWN_COMMANDS:] = np.nan
+    more = {name: prior for name, prior in timing_priors(found.model.config).items() if name not in found.model.names}
     problem = found.problem.with_more(more)._replace(measured=readings)
     names, period = problem.model.names, problem.model.config.control_period
-    if {LATENCY, RISE_TIME} & set(names):  # those of commands beyond the windows
-        readings[:, :, :UNKNOWN_COMMANDS] = readings[:, :, -UNKNOWN_COMMANDS:] = np.nan
     trials = [np.pad(found.joint.scaled, ((0, 0), (0, len(more))))]
     if LATENCY in more:
         for rows in (-1.0, 1.0):

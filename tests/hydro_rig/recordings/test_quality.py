@@ -267,15 +267,6 @@ def test_a_fast_log_of_a_few_commands_is_taken_on_its_own_grid():
     assert on_grid(CONFIG, CONFIG.control_period) is CONFIG
 
 
-def test_a_fast_log_without_a_change_of_command_has_a_grid_too():
-    log = stepped(10_000, [(0.0, 0.2)])
-    log.signals[4, 300:340] = np.nan
-    samples = check_recording(log, CONFIG, own_grid=True).samples
-    assert samples.period == pytest.approx(1e-3)
-    assert np.nanmin(samples.signals[4]) == np.nanmax(samples.signals[4]) == 0.2
-    assert 3 <= np.isnan(samples.signals[4]).sum() <= 4
-
-
 def test_readings_of_a_slow_sensor_between_the_samples_of_the_controller_are_kept(recording):
     """A log of 1 kHz with a pressure at every tenth row, 2 ms after a sample of the controller."""
     signals = np.repeat(recording.signals, 5, axis=1)
@@ -284,13 +275,6 @@ def test_readings_of_a_slow_sensor_between_the_samples_of_the_controller_are_kep
     samples = check_recording(fast, CONFIG).samples
     assert samples.period == pytest.approx(1e-3)
     np.testing.assert_array_equal(samples.signals[1][np.isfinite(samples.signals[1])], recording.signals[1, ::2])
-
-
-def test_a_log_that_keeps_the_control_period_is_taken_at_it(recording):
-    assert check_recording(recording, CONFIG).samples.period == CONFIG.control_period
-    forced = sampled(recording, CONFIG, own_grid=True)
-    np.testing.assert_array_equal(forced.signals[4, 1:], recording.signals[4, :-1])
-    np.testing.assert_array_equal(forced.signals[0], recording.signals[0])
 
 
 @pytest.mark.parametrize("period", [1.0 / 204.8, 7e-3])

@@ -128,13 +128,6 @@ def test_equidistant_rows_lie_as_far_apart_as_rounded_stamps_tell(tmp_path, case
     assert found.period == pytest.approx(distance, rel=0.01 * (distance == 1.0 / 204.8))
 
 
-@pytest.mark.parametrize(("mark", "separator"), [("%", " "), ("# ", ","), ("% ", "\t")])
-def test_a_mark_before_the_headings_is_no_column(tmp_path, mark, separator):
-    head, *rows = (line.replace(" [", "[").replace(",", separator) for line in PLAIN.splitlines()[1:])
-    text = "\n".join(["% exported, by a simulation", mark + head, *rows])
-    np.testing.assert_allclose(read_recording(written(tmp_path, text)).signals, SIGNALS, rtol=1e-6)
-
-
 def test_text_becomes_a_finding_with_its_line(tmp_path):
     lines = PLAIN.split("\n")
     lines[3] = lines[3].replace(lines[3].split(",")[2], "Error")
