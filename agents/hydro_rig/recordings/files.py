@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import gzip
 import io
-import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -39,7 +38,7 @@ CONVERSIONS = {
 }
 """Python that makes a table of a file of another kind, by the end of its name."""
 
-ENDINGS = (".csv", ".txt", ".tsv", ".lvm", ".parquet", ".mat", ".gz", ".zip")  # of the names of recordings
+ENDINGS = (".csv", ".txt", ".tsv", ".lvm", ".parquet", ".mat", ".gz")  # of the names of recordings
 LONG = {
     "tag": ("tag", "tagname", "tag name", "name", "point", "varname", "variable", "signal", "channel"),
     "time": ("time", "timestamp", "timestring", "datetime", "date/time"),
@@ -68,7 +67,7 @@ class Columns(NamedTuple):
 
 
 def read_columns(path: Path) -> Columns:
-    """Read a file; the end of its name gives its kind: .parquet, .mat, otherwise CSV; .gz and .zip are unpacked.
+    """Read a file; the end of its name gives its kind: .parquet, .mat, otherwise CSV; .gz is unpacked.
 
     Raises:
         ConfigurationError: the file is unreadable, too large or not a table, or its library is not installed.
@@ -77,8 +76,10 @@ def read_columns(path: Path) -> Columns:
     file: Path | io.BytesIO = path
     with library_errors(path):
         size = path.stat().st_size
-        if kind in (".gz", ".zip"):
-            kind, content = unpacked(path)
+        if kind == ".gz":
+            kind = Path(path.stem).suffix.lower()
+            with gzip.open(path) as packed:
+                content = packed.read(LARGEST_RECORDING + 1)
             size, file = len(content), io.BytesIO(content)
     if size > LARGEST_RECORDING:
         raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; cut it into several files")
@@ -94,23 +95,6 @@ def read_columns(path: Path) -> Columns:
     if not columns.cells or not max(map(len, columns.cells)):
         raise ConfigurationError(f"{path}: holds {'headings but no rows' if columns.first_line else 'no numbers'}")
     return columns
-
-
-def unpacked(path: Path) -> tuple[str, bytes]:
-    """End of the name of the file in an archive, and what it holds, up to a byte more than is allowed.
-
-    Raises:
-        ValueError: the archive holds several files.
-    """
-    if path.suffix.lower() == ".gz":
-        with gzip.open(path) as file:
-            return Path(path.stem).suffix.lower(), file.read(LARGEST_RECORDING + 1)
-    archive = zipfile.ZipFile(path)
-    names = [name for name in archive.namelist() if not name.endswith("/")]
-    if len(names) != 1:
-        raise ValueError(f"it holds {len(names)} files; unpack it")
-    with archive.open(names[0]) as member:
-        return Path(names[0]).suffix.lower(), member.read(LARGEST_RECORDING + 1)
 
 
 @contextmanager

@@ -83,7 +83,7 @@ def axis_of(parts: Sequence[str], given: str) -> tuple[str, str]:
     *folders, file = parts
     axis = _DATE_FOLDERS.sub("", "/".join(part.split("=", 1)[-1] for part in folders)).strip("/")
     if not axis:
-        stem = _DATE.sub("", Path(file.removesuffix(".gz").removesuffix(".zip")).stem).strip(" -_.")
+        stem = _DATE.sub("", Path(file.removesuffix(".gz")).stem).strip(" -_.")
         axis = stem if any(map(str.isalpha, stem)) else given or "axis"
     dates = [part for part in folders if part.split("=", 1)[-1] not in axis.split("/")]
     return axis, "/".join([axis, *dates, file])

@@ -1,7 +1,6 @@
 """One simulated recording as other programs write it: each file holds the same signals."""
 
 import gzip
-import zipfile
 
 import numpy as np
 import pandas as pd
@@ -47,11 +46,6 @@ def of_powershell(table, text, path):
 
 def packed_by_gzip(table, text, path):
     path.write_bytes(gzip.compress(text.encode()))
-
-
-def packed_by_zip(table, text, path):
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("folder/axis.csv", text)
 
 
 def of_pi(table, text, path):
@@ -197,7 +191,6 @@ def with_a_prelude(table, text, path):
 FILES = {
     "powershell.csv": of_powershell,
     "gzip.csv.gz": packed_by_gzip,
-    "zip.zip": packed_by_zip,
     "pi.csv": of_pi,
     "pi_short.csv": of_pi_with_short_years,
     "american.csv": american,
@@ -228,7 +221,7 @@ NOTES = {
     "british.csv": [SLASHES + "13 March 2026"],
     "daqami.csv": [SLASHES + "10 March 2026"],
 }
-UNDATED = ("powershell", "gzip", "zip", "thousands", "labview", "to_", "prelude")
+UNDATED = ("powershell", "gzip", "thousands", "labview", "to_", "prelude")
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -254,17 +247,11 @@ def test_a_file_of_another_program_holds_the_same(tmp_path, original, name):
 
 def test_what_stays_out_is_told_in_one_line_with_its_conversion(tmp_path, original):
     _, table, text = original
-    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
-        archive.writestr("a.csv", text)
-        archive.writestr("b.csv", text)
-    with refused("a.zip: is not a readable .zip file: it holds 2 files; unpack it"):
-        read_recording(tmp_path / "a.zip")
-    for name in ("b.csv.gz", "b.zip"):
-        (tmp_path / name).write_bytes(gzip.compress(text.encode())[:200])
-        with refused("is not a readable"):
-            read_recording(tmp_path / name)
-        with refused("cannot be read: No such file"):
-            read_recording(tmp_path / f"no_{name}")
+    (tmp_path / "b.csv.gz").write_bytes(gzip.compress(text.encode())[:200])
+    with refused("is not a readable"):
+        read_recording(tmp_path / "b.csv.gz")
+    with refused("cannot be read: No such file"):
+        read_recording(tmp_path / "none.csv.gz")
     for kind in ("xlsx", "mf4", "tdms"):
         (tmp_path / f"a.{kind}").touch()
         with refused(r"convert the file first: .*to_parquet"):
