@@ -59,8 +59,6 @@ class Joint(NamedTuple):
     information: Floats  # (B, p, p), of each window about the shared unknowns, with an unknown start
     score: Floats  # (B, p), derivative of each window's log-likelihood to the shared unknowns
     misfit: Floats  # (B,), as in hydro_rig.estimation.result.Estimate
-    own: Indices  # (P − p,), indices of the unknowns of each window
-    response: Floats  # (B, P − p, p), change of the most probable start states per change of the shared unknowns
 
     @property
     def precision(self) -> Floats:
@@ -112,16 +110,14 @@ def fit_together(problem: Problem, first: Floats) -> Joint:
         problem: of the B windows.
         first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
     """
-    shared, own = shared_and_own(problem.model)
+    shared, _ = shared_and_own(problem.model)
     scaled, directions = descend(problem, first, FINE)
     for _ in range(LINEARISATIONS):
         linear = problem.linearised(scaled, directions, central=True)
         equations = linear.equations(scaled, shared)
         directions = problem.model.directions(equations.precision, LONG_STEP)
     misfit = misfit_of(linear, np.linalg.inv(equations.precision))
-    curvature = equations.curvature[:, own]
-    response = np.asarray(-np.linalg.solve(curvature[:, :, own], curvature[:, :, shared]), np.float64)
-    return Joint(scaled, shared, equations.information, equations.score, misfit, own, response)
+    return Joint(scaled, shared, equations.information, equations.score, misfit)
 
 
 def shared_and_own(model: Model) -> tuple[Indices, Indices]:

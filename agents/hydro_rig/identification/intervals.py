@@ -1,4 +1,4 @@
-"""Intervals of a common fit: how far the windows scatter, what a recording bounds on one side only, physical bounds.
+"""Intervals of a common fit: how far windows and recordings scatter, what none of them tells, physical bounds.
 
 **Scatter.** With a slightly wrong model the windows of a recording contradict each other by more than the noise
 explains. The covariance is that of a sandwich whose clusters are the windows: A⁻¹ B A⁻¹ with the information A and the
@@ -55,9 +55,8 @@ def spread_of(joint: Joint, recording: Indices | None = None) -> Spread:
     spread = _spread(joint, joint.information, joint.score)
     if recording is None or len(np.unique(recording)) < 2:
         return spread
-    rows = [recording == one for one in np.unique(recording)]
-    information = np.stack([joint.information[chosen].sum(axis=0) for chosen in rows])
-    other = _spread(joint, information, np.stack([joint.score[chosen].sum(axis=0) for chosen in rows]))
+    member = (np.unique(recording)[:, None] == recording).astype(np.float64)  # (recordings, B)
+    other = _spread(joint, np.tensordot(member, joint.information, 1), member @ joint.score)
     return Spread(spread.deviation, *map(np.maximum, spread[1:], other[1:]))
 
 

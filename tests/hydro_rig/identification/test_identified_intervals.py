@@ -20,8 +20,7 @@ WINDOWS, UNKNOWNS, READINGS = 7, 6, 40
 def joint_of(found, information, score):
     """The common fit of windows without unknowns of their own."""
     count, places = len(score), np.arange(len(found))
-    nothing = np.empty(0, np.int64), np.zeros((count, 0, len(found)))
-    return Joint(np.tile(found, (count, 1)), places, information, score, np.ones(count), *nothing)
+    return Joint(np.tile(found, (count, 1)), places, information, score, np.ones(count))
 
 
 def fit_of(path, config, cut, task=None):
