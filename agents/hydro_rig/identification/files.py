@@ -62,15 +62,8 @@ def as_json(found: Identification, command: str) -> Any:
 
     unknowns = {}
     for one in fit.unknowns:
-        unknowns[one.name] = {
-            "value": one.value,
-            "low": one.low,
-            "high": one.high,
-            "unit": "l/min at 100 bar" if one.name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI",
-            "remaining": one.remaining,
-            "determined": fit.knows(one),
-            "widening": one.widening,
-        }
+        unit = "l/min at 100 bar" if one.name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI"
+        unknowns[one.name] = one._asdict() | {"unit": unit, "determined": fit.knows(one)}
     parts = []
     for part in found.held_back:
         errors, (out, back) = part.whole, part.speed_ratios

@@ -21,7 +21,6 @@ from hydro_rig.estimation.unknowns import (
     EXTERNAL_LEAKAGE,
     EXTERNAL_RESISTANCE,
     LEAKAGE,
-    Prior,
     priors_of,
     starts_of,
 )
@@ -37,7 +36,6 @@ class Unknown(NamedTuple):
     """An unknown that the windows share, after the fit; values in its unit."""
 
     name: str
-    prior: Prior
     value: float  # most probable
     low: float  # ends of the 95 % interval
     high: float
@@ -122,7 +120,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
         if name in (LEAKAGE, EXTERNAL_LEAKAGE):
             high = truncated_end(value, low, high)
         value, low, high = (within_bounds(config.plant, name, end) for end in (value, low, high))
-        unknowns.append(Unknown(name, prior, value, low, high, left, float(spread.widening[row])))
+        unknowns.append(Unknown(name, value, low, high, left, float(spread.widening[row])))
     return Fit(tuple(unknowns), common.misfit, joint)
 
 

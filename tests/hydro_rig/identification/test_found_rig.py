@@ -19,7 +19,6 @@ from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.rig import rig_from
 from hydro_env.task.sensors import POSITION
 from hydro_env.units import resistance_from_flow
-from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification import common_fit
 from hydro_rig.identification.fit import Fit, Unknown
 from hydro_rig.identification.found_rig import _line, _with_unit, found_values, narrowed
@@ -75,7 +74,7 @@ RANGES = {
 def fit_of(values, remaining=None):
     """A fit with given values and ends of intervals by name: (value, low, high)."""
     left = remaining or {}
-    unknowns = [Unknown(name, Prior(1.0, 1.0), *three, left.get(name, 0.1), 1.0) for name, three in values.items()]
+    unknowns = [Unknown(name, *three, left.get(name, 0.1), 1.0) for name, three in values.items()]
     return Fit(tuple(unknowns), np.zeros(5), None)
 
 
