@@ -78,7 +78,7 @@ Columns = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")]
 Recording = Annotated[
-    Path, typer.Argument(metavar="RECORDING", help="Measured signals: CSV, Parquet, MDF4, TDMS or MAT.")
+    Path, typer.Argument(metavar="RECORDING", help="Measured signals: CSV, Parquet or MAT.")
 ]
 Faults = Annotated[
     list[str] | None,

@@ -15,7 +15,7 @@ def identify(
         list[Path],
         typer.Argument(
             metavar="RECORDING...",
-            help="Measured signals of one axis, one file or several: CSV, Parquet, MDF4, TDMS, MAT.",
+            help="Measured signals of one axis, one file or several: CSV, Parquet, MAT.",
         ),
     ],
     rig: Annotated[

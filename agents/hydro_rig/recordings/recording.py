@@ -50,8 +50,8 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     """Read a recording.
 
     CSV: the headings stand above the numbers, with units in them or in the line below; what stands before is skipped.
-    Semicolons, tabs, commas or spaces separate the columns. The end of the name identifies packed, Parquet, MDF4, TDMS
-    and MAT files (:mod:`hydro_rig.recordings.files`).
+    Semicolons, tabs, commas or spaces separate the columns. The end of the name identifies packed, Parquet and MAT
+    files (:mod:`hydro_rig.recordings.files`).
 
     Args:
         path: the file; text in UTF-8, UTF-16 or Windows-1252.
