@@ -77,9 +77,7 @@ Columns = Annotated[
     typer.Option("--map", metavar="FILE", help="YAML: the signal of each column, with unit, gain and offset."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")]
-Recording = Annotated[
-    Path, typer.Argument(metavar="RECORDING", help="Measured signals: CSV, Parquet or MAT.")
-]
+Recording = Annotated[Path, typer.Argument(metavar="RECORDING", help="Measured signals: CSV, Parquet or MAT.")]
 Faults = Annotated[
     list[str] | None,
     typer.Option(

@@ -102,7 +102,7 @@ def possible_ends(problem: Problem, joint: Joint, spread: Spread, ends: Floats) 
     weight = 1.0 / np.maximum(square[0] / np.maximum(known.sum(axis=2), 1), 1.0)  # as in the fit
     cost = np.nan_to_num((weight * square).sum(axis=(1, 2)), nan=np.inf, posinf=np.inf)
     rise = (cost[1:] - cost[0]).reshape(count, 2)
-    return bounded & (rise < (SURE_RISE * spread.widening[:, None]) ** 2)
+    return np.asarray(bounded & (rise < (SURE_RISE * spread.widening[:, None]) ** 2))
 
 
 def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:

@@ -104,8 +104,8 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     most = max(MOST_WINDOWS // len(used), FEWEST_OF_EACH)
     fitted = {}
     for number, windows in used.items():
-        whole = float(windows.end[-1]) if len(used) == 1 and len(windows) > most else 0.0
-        fitted[number] = windows.part(liveliest(windows, most, whole / most))
+        section = float(windows.end[-1]) / most if len(used) == 1 and len(windows) > most else 0.0
+        fitted[number] = windows.part(liveliest(windows, most, section))
     return Parts(
         fitted=Windows.joined(list(fitted.values())),
         recording=np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),

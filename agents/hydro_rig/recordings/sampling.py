@@ -248,7 +248,7 @@ def likely_commands(signals: Floats, filled: Mask) -> Floats:
             columns += [np.roll((whole - whole.mean()) / scale, by) for by in (-3, -2, -1, 1, 2, 3)]
     around = np.column_stack(columns)
     weights, *_ = np.linalg.lstsq(around[sure], signals[COMMAND, sure], rcond=None)
-    return np.clip(around[filled] @ weights, -1.0, 1.0)
+    return np.asarray(np.clip(around[filled] @ weights, -1.0, 1.0), np.float64)
 
 
 def cut(samples: Sampled, length: int) -> Windows:
