@@ -167,7 +167,7 @@ def training_speed() -> float:
     model.learn(ppo.axes * ppo.steps_per_rollout)  # warm
     began = time.perf_counter()
     model.learn(TRAINING_STEPS)
-    return model.num_timesteps / (time.perf_counter() - began)
+    return float(model.num_timesteps / (time.perf_counter() - began))
 
 
 FIRST_STEP = f"""
