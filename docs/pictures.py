@@ -6,6 +6,7 @@ the animation and the charts of the pages' own tables are made.
 
 import hashlib
 import sys
+import tempfile
 from io import BytesIO
 from pathlib import Path
 
@@ -18,9 +19,12 @@ from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
 from hydro_agents.learning.loading import shipped
-from hydro_agents.report.kit import GREY, INK, WIDE, draw, drawn, leak_axis, panel, picture
+from hydro_agents.report.kit import GREY, INK, WIDE, draw, drawn, leak_axis, panel, picture, signal
 from hydro_env import TaskConfig
 from hydro_env.rendering import PAPER
+from hydro_env.task.configuration import task_config
+from hydro_rig.export.controller_folder import exported_files
+from hydro_rig.export.rehearsal import rehearse
 
 DOCS = Path(__file__).parent
 FOLDER, TABLES = DOCS / "images", DOCS / "tables"
@@ -120,6 +124,22 @@ def save(chart: str, axes: Axes) -> None:
     (FOLDER / chart).write_bytes(picture(axes, "svg") + data_mark(chart).encode())
 
 
+@drawn
+def rehearsal() -> None:
+    """Position of an axis that exported C code moves, in four scenes of its rehearsal."""
+    task = task_config(None, rig=DOCS / "hidden_rig.yaml", control_period=0.002)
+    files, _ = exported_files(shipped("flow_linearising", task), task, "hydro export flow_linearising")
+    with tempfile.TemporaryDirectory() as place:
+        for name, content in files.items():
+            (Path(place) / name).write_bytes(content)
+        _, takes = rehearse(Path(place))
+    axes = panel(WIDE, 2.8, xlabel="time, s", ylabel="position, mm")
+    for take in takes:
+        if take.scene.name in ("healthy", "broken cable", "emergency stop", "restart"):
+            signal(axes, take.time, 1e3 * take.position, label=take.scene.name)
+    (FOLDER / "rehearsal.svg").write_bytes(picture(axes, "svg"))
+
+
 CONTROLLERS = {"left: PID, tuned": "pid", "right: flow linearisation": "flow_linearising"}
 LEAK = 2.0  # l/min at 100 bar, of the animation
 DRAWN = (24, 70, 460, 206)  # of a frame: the cylinder, pixels
@@ -172,5 +192,6 @@ if __name__ == "__main__":
     controllers()
     detectors()
     performance()
+    rehearsal()
     if len(sys.argv) > 1:
         results(Path(sys.argv[1]) / "tables")

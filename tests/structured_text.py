@@ -103,7 +103,7 @@ class FunctionBlock:
     stops = True
 
     def __init__(self, text: str) -> None:
-        types, _, block = COMMENT.sub("", text).partition("FUNCTION_BLOCK")
+        types, *numbers, block = re.split(r"^FUNCTION_BLOCK ", COMMENT.sub("", text), flags=re.MULTILINE)
         declarations, _, body = block.rpartition("END_VAR")
         self.gains = {name.lower(): float(value) for name, _, _, value in DECLARED.findall(types)}
         self.outputs = [
@@ -111,10 +111,13 @@ class FunctionBlock:
         ]
         self.kinds: dict[str, str] = {}
         self.memory: dict[str, Any] = {}
+        for name, last, kind, value in DECLARED.findall("".join(numbers)):  # of the one variable of all instances
+            constants = re.search(r"VAR_EXTERNAL\s+(\w+) :", declarations)[1].lower()
+            self.memory[f"{constants}.{name.lower()}"] = self._initial(name, kind, int(last) + 1, value)
         for names, last, kind, value in DECLARED.findall(declarations):
             for name in names.lower().split(", "):
                 self.kinds[name] = kind
-                if kind in KINDS:  # not the structure of gains
+                if kind in KINDS:  # no structure
                     self.memory[name] = self._initial(name, kind, int(last) + 1 if last else 0, value)
         space = dict(FUNCTIONS)
         exec("\n".join(["def step(v):", *self._lines(body.partition("END_FUNCTION_BLOCK")[0].rstrip())]), space)

@@ -54,6 +54,7 @@ GROUPS = {
         "record": "hydro_rig.commands.recording:record",
         "identify": "hydro_rig.commands.identify:identify",
         "export": "hydro_rig.commands.export:export",
+        "rehearse": "hydro_rig.commands.rehearsing:rehearse",
     },
     "The leak": {
         "diagnose": "hydro_rig.commands.diagnosing:diagnose",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -28,7 +29,7 @@ class Language(NamedTuple):
     table: str  # type, name, size, last, numbers
     comment: str
     reserved: frozenset[str]  # in small letters
-    declares_first: bool  # all variables before all statements
+    declares_first: bool  # all variables before all statements; each access to an array costs, so that none is wasted
     repeats: frozenset[str] = frozenset()  # operations whose text holds an operand more than once
 
 
@@ -72,6 +73,7 @@ class Writer:
         language: of the statements.
         taken: further names that no variable may have.
         prefix: of the names of tables, for a file that contains others.
+        tables_of: text before the name of a table where it is read.
     """
 
     graph: Graph
@@ -79,22 +81,24 @@ class Writer:
     language: Language = C
     taken: Sequence[str] = ()
     prefix: str = ""
+    tables_of: str = ""
     tables: list[str] = field(default_factory=list)
     declared: list[str] = field(default_factory=list)  # where the language wants them first
     work: dict[str, tuple[np.dtype[Any], int]] = field(default_factory=dict)  # there: arrays that several values share
     _names: dict[Node, str] = field(default_factory=dict)
     _inside: set[Node] = field(default_factory=set)
+    _totals: dict[np.dtype[Any], str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._used = {name.lower() for name in self.taken} | self.language.reserved
-        self._kept = {node.whole for node in self.graph.outputs.values()}
+        self._kept = Counter(node.whole for node in self.graph.outputs.values())
         self._free: list[str] = []  # of ``work``
         self._readers: dict[Node, list[Node]] = {}
         for node in self.graph.nodes():
             if not node.is_part:
                 for operand in node.operands:
                     self._readers.setdefault(operand.whole, []).append(node)
-        self._unread = {node: len(readers) for node, readers in self._readers.items()}
+        self._unread = self._kept + Counter({node: len(readers) for node, readers in self._readers.items()})
 
     def statements(self, nodes: Sequence[Node], indent: str = "    ") -> list[str]:
         """Statements that compute nodes, operands first; each result gets a variable."""
@@ -132,7 +136,7 @@ class Writer:
                 return self.language.number(node.table[index])
             if node not in self._names:
                 self._names[node] = self._table(node)
-            return f"{self._names[node]}[{index}]"
+            return f"{self.tables_of}{self._names[node]}[{index}]"
         if node.is_part:
             run = node.runs[0]
             return self.element(run.source, _place(run.start, run.step, index))
@@ -156,7 +160,7 @@ class Writer:
         if self._may_be_inside(node) and len(self._expression(node, "i")) <= LONGEST:
             self._inside.add(node)
             return []
-        shared = self.language.declares_first and node.size > 1 and node not in self._kept
+        shared = self.language.declares_first and node.size > 1
         name = self._names[node] = self._shared(node) if shared else self._new_name(node.name or node.operation)
         if node.operation == "collect":
             lines = self._collected(node, name)
@@ -164,7 +168,7 @@ class Writer:
             lines = self._total(node, name)
         else:
             lines = self._defined(node, name, self._expression(node, "i"))
-        self._read(node)
+        self.release(*node.operands)
         return lines
 
     def _shared(self, node: Node) -> str:
@@ -179,12 +183,12 @@ class Writer:
         self.work[name] = (node.kind, max(self.work[name][1], node.size))
         return name
 
-    def _read(self, node: Node) -> None:
-        """Free the arrays of which a value was the last reader."""
-        for operand in node.operands:
-            whole = operand.whole
+    def release(self, *nodes: Node) -> None:
+        """One reader of some nodes is done: free the arrays of which it was the last one."""
+        for node in nodes:
+            whole = node.whole
             if whole in self._inside:
-                self._read(whole)
+                self.release(*whole.operands)
             elif whole in self._names and self._names[whole] in self.work:
                 self._unread[whole] -= 1
                 if not self._unread[whole]:
@@ -200,7 +204,7 @@ class Writer:
             return False
         same_size = node.size == reader.size or reader.operation in ("collect", "sum")
         exact = node.kind != np.float32 or node.operation in ("where", "cast", "absolute", "negative")
-        return same_size and exact and node.origin == reader.origin
+        return same_size and exact and (self.language.declares_first or node.origin == reader.origin)
 
     def _expression(self, node: Node, index: int | str) -> str:
         texts = [self.element(operand, index) for operand in node.operands]
@@ -247,18 +251,29 @@ class Writer:
         else:
             left, right = node.operands
             term = f"{_beside(self.element(left, _mixed((k, i))))} * {_beside(self.element(right, _mixed((i, j))))}"
-        into = name if node.size == 1 else f"{name}[{_mixed((k, j))}]"
-        statement = self.language.assign.format(into, f"{into} + {term}")
-        for index, count in reversed(digits):
-            statement = self._loop(index, count, statement) if count > 1 else statement
         zero = self.language.number(node.kind.type(0))
+        into = name if node.size == 1 else f"{name}[{_mixed((k, j))}]"
+        single = self.language.declares_first and node.size > 1  # in one variable until the sum is complete
+        total = self._total_of(node.kind) if single else into
+        statement = self.language.assign.format(total, f"{total} + {term}")
+        if single:
+            begin, end = self.language.assign.format(total, zero), self.language.assign.format(into, total)
+            statement = self._loop(*k, self._loop(*j, f"{begin} {self._loop(*i, statement)} {end}"))
+            return [*self._declaration(node, name), statement]
+        for index, count in reversed(digits):
+            statement = self._loop(index, count, statement)
         begin = self.language.assign.format(name if node.size == 1 else f"{name}[i]", zero)
-        if node.size > 1:
-            begin = self._loop("i", node.size, begin)
-        return [*self._declaration(node, name), begin, statement]
+        return [*self._declaration(node, name), self._loop("i", node.size, begin), statement]
+
+    def _total_of(self, kind: np.dtype[Any]) -> str:
+        """A variable for the sums of a type."""
+        if kind not in self._totals:
+            self._totals[kind] = self._new_name("total")
+            self.declared.append(declaration(self.language, self._totals[kind], 1, kind))
+        return self._totals[kind]
 
     def _loop(self, index: str, count: int, statement: str) -> str:
-        return self.language.loop.format(index, count, statement, count - 1)
+        return statement if count == 1 else self.language.loop.format(index, count, statement, count - 1)
 
     def _new_name(self, name: str) -> str:
         plain = f"{name}_value" if name.lower() in self.language.reserved else name

@@ -284,6 +284,7 @@ def written_step(
         for name, text in answers.items():
             lines.append(indent + writer.stored(text, writer.element(new[name], 0), 1))
         stored = stores({name: node for name, node in new.items() if name in parts}, lines, indent)
+        writer.release(*new.values())
         return "\n".join([*lines, *stored])
 
     common = writer.statements(before)

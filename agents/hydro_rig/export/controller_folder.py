@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.own_loop import LOST_TIME, OUT_OF_RANGE, STOPPING_TIME, OwnLoop
+from hydro_agents.controllers.own_loop import LOST_TIME, OUT_OF_RANGE, OwnLoop
 from hydro_agents.controllers.registry import gain_rows
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import ConfigurationError, HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
@@ -106,13 +107,9 @@ class _Episode:
         self._env = ServoHydraulicVectorEnv(1, config, info=False)
         self._env.reset(seed=[seed], options={"reference": [family]} if family is not None else None)
         self.axes = self._env.axes
+        self.signals = partial(block.signals.inputs_of, self.axes)  # and the references of the environment
         self.inputs: list[dict[str, Any]] = []
         self.outputs: list[dict[str, Any]] = []
-
-    def signals(self) -> dict[str, Any]:
-        """What the sensors measure, all valid, and the references of the environment."""
-        found: dict[str, Any] = {name: float(value[0]) for name, value in self.block.signals.of_axes(self.axes).items()}
-        return found | {f"valid_{signal.name}": True for signal in self.block.signals.signals if signal.sensor}
 
     def step(self, inputs: dict[str, Any], moves: bool = True) -> float:
         """One call of the block, V; the axis moves for a control period, until the end of its episode."""
@@ -235,7 +232,7 @@ def exported_files(
     graph = controller_graph(controller, config)
     model = controller_model(graph).SerializeToString()
     vectors, gains = make_vectors(graph), getattr(controller, "gains", None)
-    code = controller_code(graph, name)
+    code, in_text = controller_code(graph, name), structured_text(graph, name)
     values = {
         "title": graph.title,
         "version": __version__,
@@ -255,8 +252,8 @@ def exported_files(
         "compared": COMPARED,
         "diagram": DIAGRAM,
         "lost_rule": LOST_RULE,
-        "stopping_time": STOPPING_TIME,
         "outside": OUT_OF_RANGE,
+        "shared": f"{name}Numbers" in in_text,
         "state_size": sum(part.size for part in graph.memory),
         "variable": [gain.name for gain in graph.gains],
         "gains": gain_rows(gains) if isinstance(gains, Group) else [],
@@ -267,7 +264,7 @@ def exported_files(
     csv = csv_text([*columns, *COMPARED], vectors.start, rows)
     files, in_c = tested(code, csv, values)
     task = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
-    texts = {f"{code.name}.st": structured_text(graph, name), f"{code.name}_call.st": call_example(graph, name)}
+    texts = {f"{code.name}.st": in_text, f"{code.name}_call.st": call_example(graph, name)}
     files |= {file: text.encode("ascii") for file, text in texts.items()}
     files |= {MODEL_FILE: model, TASK_FILE: task.encode()}
     return files, [f"{MODEL_FILE}: {in_onnx}", f"{code.name}.c: {in_c}"]

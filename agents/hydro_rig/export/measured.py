@@ -13,7 +13,6 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.task.sensors import CHANNEL_UNITS, CHANNELS
 from hydro_env.task.signals import observation_layout
-from hydro_env.types import Floats
 from hydro_rig.export.graph import SCALED
 from hydro_rig.export.tracing import named
 
@@ -94,16 +93,16 @@ class MeasuredSignals:
         text = SENSOR_MEANINGS.get(name, "measured")
         return MeasuredSignal(name, CHANNEL_UNITS[name], sensor.low, sensor.high, limit, text, True)
 
-    def of_axes(self, axes: Axes) -> dict[str, Floats]:
-        """Signals of simulated axes by name, (N,) each, exactly as their sensors read."""
-        now = np.asarray(axes.column("step"), dtype=np.int64)
-        row, values = np.arange(axes.count), {}
+    def inputs_of(self, axes: Axes) -> dict[str, Any]:
+        """Inputs of a block by name: the signals of the first simulated axis as its sensors read, all of them valid."""
+        now, found = int(axes.column("step")[0]), dict[str, Any]()
         for signal in self.signals:
             if signal.sensor:
-                values[signal.name] = axes.column("measured")[:, CHANNELS.index(signal.name)]
+                found[signal.name] = float(axes.column("measured")[0, CHANNELS.index(signal.name)])
+                found[f"valid_{signal.name}"] = True
             else:
-                values[signal.name] = axes.reference[row, now + signal.ahead]
-        return values
+                found[signal.name] = float(axes.reference[0, now + signal.ahead])
+        return found
 
     def observation(self, value: Mapping[str, Any]) -> Any:
         """The observation of the environment, (1, entries), from signals and computed entries by name, SI units."""

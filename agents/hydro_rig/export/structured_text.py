@@ -11,7 +11,7 @@ from hydro_env import __version__
 from hydro_rig.export.c_files import TEMPLATES, render
 from hydro_rig.export.c_writer import Language, Writer, declaration
 from hydro_rig.export.controller import GAINS, ControllerGraph, field, written_step
-from hydro_rig.export.graph import KINDS
+from hydro_rig.export.graph import KINDS, needed
 from hydro_rig.export.tracing import TraceError
 
 TYPES = dict(zip(KINDS, ("LREAL", "REAL", "DINT", "BOOL"), strict=True))
@@ -27,6 +27,8 @@ OPERATIONS = {
 }  # fmt: skip
 RESERVED = frozenset((TEMPLATES / "reserved_words.txt").read_text(encoding="utf-8").split())
 """Words of the language, its standard functions and blocks, and of C; indices of loops. No variable has such a name."""
+
+LARGEST_OWN = 1000  # numbers of tables that an instance holds
 
 ASCII = {"±": "+/-", "…": "...", "−": "-", "→": "->", "²": "2", "°": "deg", "√": "root of "}
 
@@ -77,17 +79,22 @@ def st_name(name: str) -> str:
 def structured_text(controller: ControllerGraph, name: str = "Controller") -> str:
     """A function block; without a call of another library, with the arithmetic of the C code.
 
-    ``name``: of the function block; ``NAMEGains`` is the structure of its gains.
+    ``name``: of the function block; ``NAMEGains`` is the structure of its gains. Large tables, such as the weights of a
+    policy, are those of a block ``NAMENumbers``, of which the project holds a single one: every instance would hold a
+    copy of its own constants. It is a block because some compilers ignore initial values of arrays in a structure.
     """
     inputs = {row.name: st_name(row.name) for row in controller.inputs if not row.name.startswith(GAINS)}
     gains = {GAINS + gain.name: f"Gains.{gain.name}" for gain in controller.gains}
     outputs = {output: st_name(output) for output in controller.outputs}
     fields = {part.name: field(part.name) for part in controller.memory}
-    taken = ("wanted", "gains", name, *inputs.values(), *outputs.values(), *fields.values())
-    writer = Writer(controller.graph, {}, LANGUAGE, taken)
+    taken = ("wanted", "gains", name, f"{name}Constants", *inputs.values(), *outputs.values(), *fields.values())
+    constants = [node for node in needed([*controller.graph.outputs.values()]) if node.operation == "constant"]
+    shared = sum(node.size for node in constants) > LARGEST_OWN
+    writer = Writer(controller.graph, {}, LANGUAGE, taken, tables_of=f"{name}Constants." if shared else "")
     values = written_step(controller, writer, {**fields, **inputs, **gains}, outputs)
     values |= {
         "name": name,
+        "shared": shared,
         "st_name": st_name,
         "types": {bool: "BOOL", int: "DINT", float: "LREAL"},
         "inputs": [(row, literal(row.kind(row.default))) for row in controller.block.inputs],

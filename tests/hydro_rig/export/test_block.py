@@ -74,8 +74,7 @@ class Axis:
         self.positions, self.outputs = [], []
 
     def inputs(self):
-        signals = {name: float(value[0]) for name, value in self.graph.signals.of_axes(self.env.axes).items()}
-        return {"enable": True, **signals, **dict.fromkeys([f"valid_{one}" for one in signals], True)}
+        return {"enable": True, **self.graph.signals.inputs_of(self.env.axes)}
 
     def drive(self, changes, count):
         for _ in range(count):

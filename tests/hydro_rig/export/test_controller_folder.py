@@ -80,8 +80,7 @@ def test_several_blocks_with_own_gains_fit_into_one_program(exported, tmp_path):
     env.reset(seed=[SEED + 30])
     for kind, prefix in (("pid", "lift"), ("flow_linearising", "tilt_axis")):
         graph = graphs[kind]
-        row = {name: float(value[0]) for name, value in graph.signals.of_axes(env.axes).items()}
-        row |= {f"valid_{name}": True for name in row} | {"enable": True, "output_rate": 1e9}
+        row = graph.signals.inputs_of(env.axes) | {"enable": True, "output_rate": 1e9}
         row |= {"max_speed": 1e9, "max_acceleration": 1e9, "reference": row["position"] + 1e-3}
         usual, turned, expected = (InC(loaded, graph, prefix), InC(loaded, graph, prefix), InPython(graph))
         gain = graph.inputs[-len(graph.gains)]

@@ -64,9 +64,12 @@ def test_in_c_it_takes_over_an_axis_in_motion(task, in_c):
     memory, commands, errors = None, [], []
     for step in range(TAKE_OVER + 200):
         action, memory = driving.predict(observation, memory)
-        row = {name: float(value[0]) for name, value in run.graph.signals.of_axes(env.axes).items()}
-        row |= {f"valid_{signal.name}": True for signal in run.graph.signals.signals if signal.sensor}
-        row |= {"enable": True, "follow": True, "manual": 0 < step < TAKE_OVER, "control": step > 0}
+        row = run.graph.signals.inputs_of(env.axes) | {
+            "enable": True,
+            "follow": True,
+            "manual": 0 < step < TAKE_OVER,
+            "control": step > 0,
+        }
         commands.append(run({**row, "manual_command": 10.0 * float(action[0, 0])})["command"])
         observation, *_ = env.step(np.array([[commands[-1] / 10.0]], dtype=np.float32))
         errors.append(driving.layout.si(observation, "tracking_error")[0])
