@@ -51,17 +51,6 @@ def center(picture, row, color):
     return columns.mean()
 
 
-def test_a_frame_is_an_array_of_its_own(renderer):
-    first = draw(renderer)
-    kept = first.copy()
-    second = draw(renderer, position=-0.05)
-    assert (first.shape, first.dtype) == ((rendering.HEIGHT, rendering.WIDTH, 3), np.uint8)
-    assert first.flags.writeable
-    np.testing.assert_array_equal(first, kept)
-    assert not np.array_equal(first, second)
-    np.testing.assert_array_equal(draw(renderer), first)
-
-
 @pytest.mark.parametrize("position", [-0.2, 0.13])
 def test_piston_load_and_reference_stand_on_the_scale_of_the_stroke(renderer, position):
     middle, moved = draw(renderer, position=0.0), draw(renderer, position=position)

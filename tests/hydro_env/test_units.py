@@ -5,11 +5,9 @@ import math
 import pytest
 from refusal import refused
 
-from hydro_env import TaskConfig
 from hydro_env.plant.parameters import PARAMETER_UNITS, PlantParameters
 from hydro_env.task.configuration import task_config
 from hydro_env.units import UNITS, flow_from_resistance, in_si, resistance_from_flow
-from hydro_rig.recordings.columns import factor
 
 KNOWN = """
 63 mm = 0.063 m; 36mm = 0.036 m; 1.5e1 cm = 0.15 m; 160 bar = 160e5 Pa; 250 kPa = 250e3 Pa
@@ -52,15 +50,6 @@ def test_the_unit_of_another_quantity_is_refused():
         in_si("63 bar", "m")
     with pytest.raises(ValueError, match="unit 'kg': must be one of N s/m"):
         in_si("63 kg", "N s/m")
-
-
-def test_recordings_and_tasks_know_the_same_units():
-    assert factor("position", "mm", "x") == 1e-3
-    assert factor("pressure_a", "psi", "x") == pytest.approx(6894.757293168)
-    with refused("x: unit 'furlong': must be one of mm, m, "):
-        factor("position", "furlong", "x")
-    config = TaskConfig(control_period="4 ms", references={"step_range": ["1 mm", "2 cm"]})
-    assert (config.control_period, config.references.step_range) == (0.004, (0.001, 0.02))
 
 
 def test_a_rig_with_units_is_the_rig_in_si(tmp_path):

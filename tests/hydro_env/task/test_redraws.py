@@ -41,21 +41,6 @@ def test_no_reset_is_refused_where_a_draw_can_be_held(what):
         assert redraws.max() > 0  # the case is hard indeed
 
 
-def test_what_decides_nothing_is_not_drawn_again():
-    """Family, noise and bias of a redrawn episode are those of its first draw."""
-    options = {"leakage_flow_lpm": 20.0}
-    envs, easy = ServoHydraulicVectorEnv(60), ServoHydraulicVectorEnv(60)
-    _, info = envs.reset(seed=0, options=options)
-    _, other = easy.reset(seed=0, options={"leakage_flow_lpm": 0.01})
-    assert envs.axes.column("redraws").any()
-    assert not easy.axes.column("redraws").any()  # an ordinary episode is drawn once
-    np.testing.assert_array_equal(info["reference_family"], other["reference_family"])
-    for name in ("bias", "noise_key"):
-        np.testing.assert_array_equal(envs.axes.column(name), easy.axes.column(name))
-    moved = info["position"] != other["position"]
-    np.testing.assert_array_equal(moved, envs.axes.column("redraws") > 0)
-
-
 def test_a_period_that_takes_too_many_steps_ends_the_episode_with_a_name():
     """A rig that check-rig would refuse: friction so stiff that a period would take minutes."""
     stiff = {
