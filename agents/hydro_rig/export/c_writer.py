@@ -29,7 +29,7 @@ class Language(NamedTuple):
     table: str  # type, name, size, last, numbers
     comment: str
     reserved: frozenset[str]  # in small letters
-    declares_first: bool  # all variables before all statements; each access to an array costs, so that none is wasted
+    declares_first: bool  # all variables before all statements
     repeats: frozenset[str] = frozenset()  # operations whose text holds an operand more than once
 
 
@@ -87,7 +87,6 @@ class Writer:
     work: dict[str, tuple[np.dtype[Any], int]] = field(default_factory=dict)  # there: arrays that several values share
     _names: dict[Node, str] = field(default_factory=dict)
     _inside: set[Node] = field(default_factory=set)
-    _totals: dict[np.dtype[Any], str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._used = {name.lower() for name in self.taken} | self.language.reserved
@@ -244,33 +243,20 @@ class Writer:
         return lines
 
     def _total(self, node: Node, name: str) -> list[str]:
-        """Sums over ``i``; the innermost loop runs over the columns, so that a compiler can vectorise it."""
+        """Sums over ``i``; the innermost loop runs over the columns, so that their sums do not wait for each other."""
         k, i, j = digits = tuple(zip("kij", node.sizes, strict=True))
         if node.operation == "sum":
             term = _beside(self.element(node.operands[0], _mixed(digits)))
         else:
             left, right = node.operands
             term = f"{_beside(self.element(left, _mixed((k, i))))} * {_beside(self.element(right, _mixed((i, j))))}"
-        zero = self.language.number(node.kind.type(0))
         into = name if node.size == 1 else f"{name}[{_mixed((k, j))}]"
-        single = self.language.declares_first and node.size > 1  # in one variable until the sum is complete
-        total = self._total_of(node.kind) if single else into
-        statement = self.language.assign.format(total, f"{total} + {term}")
-        if single:
-            begin, end = self.language.assign.format(total, zero), self.language.assign.format(into, total)
-            statement = self._loop(*k, self._loop(*j, f"{begin} {self._loop(*i, statement)} {end}"))
-            return [*self._declaration(node, name), statement]
+        statement = self.language.assign.format(into, f"{into} + {term}")
         for index, count in reversed(digits):
             statement = self._loop(index, count, statement)
+        zero = self.language.number(node.kind.type(0))
         begin = self.language.assign.format(name if node.size == 1 else f"{name}[i]", zero)
         return [*self._declaration(node, name), self._loop("i", node.size, begin), statement]
-
-    def _total_of(self, kind: np.dtype[Any]) -> str:
-        """A variable for the sums of a type."""
-        if kind not in self._totals:
-            self._totals[kind] = self._new_name("total")
-            self.declared.append(declaration(self.language, self._totals[kind], 1, kind))
-        return self._totals[kind]
 
     def _loop(self, index: str, count: int, statement: str) -> str:
         return statement if count == 1 else self.language.loop.format(index, count, statement, count - 1)
