@@ -68,9 +68,9 @@ class Diagnosis(Judged):
 
     @property
     def readings(self) -> list[NamedReading]:
-        """What was read, by detector."""
+        """What was read in each window, by detector; a leak test with few windows reads none."""
         found = []
-        if self.read.estimator is not None:
+        if self.read.estimator is not None and len(self.read.estimator.score) == len(self.windows):
             found.append(NamedReading("estimator", "estimator", self.read.estimator))
         if self.companion is not None and self.read.companion is not None:
             name = name_of(self.companion)

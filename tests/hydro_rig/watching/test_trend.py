@@ -178,7 +178,6 @@ AXES = {
     "20261003_axis07.csv": "axis07",
     "axis08.csv": "axis08",
     "axis09.csv.gz": "axis09",
-    "axis10_2026.zip": "axis10",
     "2026-10-03_06-00-00.csv": "given",
     "017.csv": "given",
 }
