@@ -57,7 +57,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         fleet = FleetWatch(Fleet(Axis(TaskConfig(), None, Oil.of("46"), LIMIT)), Path(folder) / "watch.csv")
-        list(fleet.looks(lines_of(arguments.recording, 2, 0.0, 30.0), RowReader()))  # compiles
+        list(fleet.looks(lines_of(arguments.recording, min(arguments.axes, 2), 0.0, 30.0), RowReader()))  # compiles
         before, part = memory(), 60.0 * arguments.minutes / PARTS
         for number in range(PARTS):
             begin, states = process_time(), set()
