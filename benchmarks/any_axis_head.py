@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.lib.stride_tricks import sliding_window_view
+from sklearn.metrics import roc_auc_score
 
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
@@ -34,7 +35,6 @@ from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.detection.operations import MANNERS, Operation, at_rest
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.detection.training_settings import HeadTrainingSettings
-from hydro_agents.evaluation.detection import area_under_roc
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import DETECTION, THRESHOLDS, SeedRange
@@ -93,7 +93,7 @@ def rig_rows(number: int, task: TaskConfig, weights: list[str], own: bool, plant
         for share, each in zip(SHARES[1:], others, strict=True):
             row[f"found_{share:g}"] = float(np.mean(each >= threshold))
         truth = np.repeat([False, True], [len(healthy), len(others[1])])
-        row["area_1"] = area_under_roc(np.concatenate([healthy, others[1]]), truth)
+        row["area_1"] = roc_auc_score(truth, np.concatenate([healthy, others[1]]))
         if name in heads:
             calm, *_, large = answers[name]
             seen = calm.probability >= heads[name].settings.threshold

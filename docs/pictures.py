@@ -14,7 +14,6 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
@@ -32,26 +31,20 @@ FOLDER, TABLES = DOCS / "images", DOCS / "tables"
 
 @drawn
 def results(tables: Path) -> None:
-    """Ratio of the tracking errors over the leak, and the share of leaks that is flagged.
+    """Ratio of the tracking errors over the leak.
 
     The ratio is paired by plant: its interval shows what overlapping intervals of two means hide.
     """
     ratios = pd.read_csv(tables / "comparison.csv", dtype={"value": str})
-    rates = pd.read_csv(tables / "detection_rates.csv")
-    base, names = ratios["against"].iloc[0], list(rates["controller"].unique())
-    left, right = Figure(figsize=(WIDE, 3.4), layout="constrained").subplots(1, 2)
+    base = ratios["against"].iloc[0]
     rows = ratios[(ratios["group"] == "level") & (ratios["against"] == base)]
     rows = rows.assign(leak=rows["value"].astype(float))
-    draw(left, rows, "leak", "ratio", names)
-    leak_axis(left, rows["leak"])
-    left.axhline(1.0, color=INK, label=base)
-    left.set(title="Positioning", ylabel=f"mean error over that of the {base}", ylim=(0.0, 1.15))
-    rows = rates[(rates["group"] == "range") & ~rates["value"].str.startswith("≥")]
-    draw(right, rows, "value", "flagged_share", names, factor=100.0, kind="points")
-    right.set(title="Leaks flagged within 2 s", xlabel="leak, l/min at 100 bar", ylabel="%", ylim=(0, 104))
-    for axes in (left, right):
-        axes.legend(loc="lower right")
-    (FOLDER / "results.png").write_bytes(picture([left, right], "png"))
+    axes = panel(height=3.4, title="Positioning", ylabel=f"mean error over that of the {base}", ylim=(0.0, 1.15))
+    draw(axes, rows, "leak", "ratio", [base, *rows["controller"].unique()])
+    leak_axis(axes, rows["leak"])
+    axes.axhline(1.0, color=INK, label=base)
+    axes.legend(loc="lower right")
+    (FOLDER / "results.png").write_bytes(picture(axes, "png"))
 
 
 def axis() -> None:

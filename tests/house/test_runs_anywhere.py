@@ -120,7 +120,6 @@ sys.path[:] = [place for place in sys.path if not (Path(place) / "hydro_rig").ex
 SMALL_STUDY = """
 task: {episode_duration: 0.4}
 controllers: {PID: {kind: pid}}
-leakage_head: null
 evaluation: {plants: 3, leak_levels: [0.01], families: [step]}
 """
 

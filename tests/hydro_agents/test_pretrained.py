@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from sklearn.metrics import roc_auc_score
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.monitor import load_head
-from hydro_agents.evaluation.detection import area_under_roc
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.learning.loading import load_controller, shipped
 from hydro_agents.running.cases import Cases, family_errors, run_cases
@@ -56,7 +56,7 @@ def test_head_flags_leaks_under_either_controller(policy, controller):
     acting = policy if controller == "PPO" else load_controller("pid", STUDY.task, "PID")
     found = head.estimate_windows(measured_run(STUDY.task, acting, Cases(seeds, flow))[0])
     leaking = flow >= 0.3
-    assert area_under_roc(found.probability, leaking) > 0.99
+    assert roc_auc_score(leaking, found.probability) > 0.99
     assert np.mean(found.probability[leaking] >= head.settings.threshold) > 0.95
     assert np.mean(found.probability[~leaking] >= head.settings.threshold) < 0.04
     assert np.median(np.abs(np.log(found.flow_lpm / flow))[leaking]) < np.log(1.4)

@@ -10,8 +10,8 @@ import numpy as np
 from hydro_agents.commands.protocols import PageOf
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results
-from hydro_agents.report.controllers_page import Example, controllers_page, flagged
-from hydro_agents.report.kit import Page, as_text
+from hydro_agents.report.controllers_page import Example, controllers_page
+from hydro_agents.report.kit import Page
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.limit_cycles import rest_warning
 from hydro_agents.running.seeds import EXPERIMENT_AXES
@@ -64,7 +64,7 @@ def example_traces(results: Results) -> list[Example]:
 
 
 def summary(results: Results) -> Iterator[Table]:
-    """Errors, worst case and costs as ratios; failed episodes; standstills with a limit cycle. The detection."""
+    """Errors, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
     title = f"Ratios to {results.controllers[0]}; conditions and families weighted equally"
     header = ("controller", "error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles")
     pattern = "{controller}|{equal_weight:.3f}|{equal_weight_low:.2f}–{equal_weight_high:.2f}|{worst_ratio:.2f}"
@@ -73,8 +73,6 @@ def summary(results: Results) -> Iterator[Table]:
     for row in results.table("ranking").to_dict("records"):
         rows.append(tuple(cell.format(**row) for cell in pattern.split("|")))
     yield Table(title, header, rows)
-    if len(rates := results.table("detection_rates")):
-        yield as_text(flagged(rates), "Episodes that the leakage head flags, %, by leak in l/min")
 
 
 def remarks(results: Results) -> Iterator[str]:

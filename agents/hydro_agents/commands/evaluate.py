@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,10 +24,6 @@ from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
     from hydro_agents.commands.protocols import Options
-    from hydro_agents.detection.head import LeakageHead
-    from hydro_env import TaskConfig
-
-NO_HEAD = Path("none")
 
 
 def evaluate(
@@ -43,7 +38,7 @@ def evaluate(
     period: Period = None,
     latency: Latency = None,
     head: Annotated[
-        Path | None, typer.Option(help="Weights of a leakage head, or none; default: the shipped one.")
+        Path | None, typer.Option(help="For --protocol leakage: weights of a leakage head, instead of the shipped one.")
     ] = None,
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
@@ -59,7 +54,7 @@ def evaluate(
     overwrite: Overwrite = False,
     jobs: Jobs = None,
 ) -> None:
-    """Compare the controllers of a study and your own on test plants, and evaluate the leakage head.
+    """Compare the controllers of a study and your own on test plants, or under the conditions of a protocol.
 
     All controllers get the same plants, references and noise. Trained controllers take the shipped weights unless
     `--agent` gives others. The command writes CSV tables with all numbers and a report, and prints the main figures. If
@@ -84,9 +79,11 @@ def evaluate(
     from hydro_env.folders import config_file
 
     if protocol is None:
+        if head is not None:
+            raise ConfigurationError("--head: belongs to --protocol leakage")
         options = Options(task, rig, output or Path("results/evaluate"), resume, overwrite, None, period, latency)
         with workers(jobs):
-            _evaluate_study(config, named_agents(agent), head, plants, options)
+            _evaluate_study(config, named_agents(agent), plants, options)
         return
     file = config_file("protocols", protocol)
     options = Options(task, rig, output or Path("results") / file.stem, resume, overwrite, file, period, latency)
@@ -142,10 +139,8 @@ def _evaluate_detectors(head: Path | None, options: Options) -> None:
     run_protocol(protocol, detectors, options, LEAKAGE_PAGE, protocol)
 
 
-def _evaluate_study(
-    config: Path | None, own: dict[str, str], head: Path | None, plants: int | None, options: Options
-) -> None:
-    """Evaluate the controllers of a study and agents, which replace those of their name, and the leakage head."""
+def _evaluate_study(config: Path | None, own: dict[str, str], plants: int | None, options: Options) -> None:
+    """Evaluate the controllers of a study and agents, which replace those of their name."""
     from dataclasses import replace
 
     import yaml
@@ -165,21 +160,7 @@ def _evaluate_study(
         study = study.with_gains_of_rig()
     controllers = study.with_weights(own, leave_out=True)
     tell_rigs(study, controllers)
-    watching = None if head == NO_HEAD else _watching(head, study.task)
     protocol = study.evaluation.protocol(study.task, study.title)
-    chosen = replace(participants(controllers, protocol), head=watching, corrects=study.corrects)
+    chosen = replace(participants(controllers, protocol), corrects=study.corrects)
     page = study_page(yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False, allow_unicode=True))
     run_protocol(protocol, chosen, options, page, study)
-
-
-def _watching(head: Path | None, task: TaskConfig) -> LeakageHead | None:
-    """The leakage head; none, with one line on standard error, if the shipped one cannot watch this task."""
-    from hydro_agents.detection.monitor import load_head
-
-    try:
-        return load_head(head, task)
-    except ConfigurationError as error:
-        if head is not None:
-            raise
-        print(f"hydro: no leak detection: {error}; hydro train head makes one for this task", file=sys.stderr)
-        return None

@@ -47,7 +47,7 @@ def study(
     overwrite: Overwrite = False,
     jobs: Jobs = None,
 ) -> None:
-    """Train PPO on flow linearisation and the leakage head from scratch, compare all controllers, write one report.
+    """Train PPO on flow linearisation from scratch, compare all controllers, write one report.
 
     Writes to the output folder: `report.html` (self-contained), `tables/*.csv` (all numbers), the weights, and
     `study.yaml` (the configuration used). `controllers:` in the YAML file lists the participants.
@@ -205,7 +205,7 @@ def _of_gains(study: StudySettings, kind: str, steps: int | None) -> StudySettin
     from hydro_env.files import validate
 
     entry = {"kind": kind, "tune": {"evaluations": steps or EVALUATIONS}}
-    return validate(Study, {"task": study.task, "controllers": {kind: entry}, "leakage_head": None}, "train")
+    return validate(Study, {"task": study.task, "controllers": {kind: entry}}, "train")
 
 
 def _controller(study: StudySettings, name: str, folder: Path, seed: int) -> Training:
@@ -234,13 +234,11 @@ def _controller(study: StudySettings, name: str, folder: Path, seed: int) -> Tra
 
 
 def _head(study: StudySettings, folder: Path, seed: int, agents: dict[str, str]) -> Training:
-    from hydro_agents.detection.training_settings import HeadTrainingSettings
     from hydro_agents.running.jobs import RESULT_FILES
     from hydro_agents.study.training import HEAD_WEIGHTS, train_leakage_head
 
-    settings = study.leakage_head or HeadTrainingSettings()
-    settings.check(study.task)
-    named = study.with_weights(agents) if settings.law is None else {}
+    study.leakage_head.check(study.task)
+    named = study.with_weights(agents) if study.leakage_head.law is None else {}
     tell_rigs(study, named)
 
     def work(display: ProgressDisplay) -> None:

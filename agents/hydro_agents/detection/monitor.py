@@ -106,25 +106,19 @@ class HeadDetector:
         )
 
 
-def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:
-    """Check that a leakage head can watch the episodes of a task.
+def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
+    """Weights of a leakage head, the shipped ones for the rig by default, checked against the task.
 
     Raises:
-        ConfigurationError: its observations differ, or its window is longer than an episode.
+        ConfigurationError: the task's observations differ, or its episodes are shorter than the head's window.
     """
+    path = path or shipped_weights(HEAD_FILE, config)
+    head = HeadDetector(LeakageHead.load(path)).on(config)
     try:
         check_layout(head.settings.layout, config)
     except ConfigurationError as error:
-        raise ConfigurationError(f"{name}: {error}") from None
+        raise ConfigurationError(f"{path}: {error}") from None
     if head.settings.window > config.steps:
-        raise ConfigurationError(
-            f"{name}: reads at least {head.settings.window} observations, an episode has {config.steps}"
-        )
-
-
-def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
-    """Weights of a leakage head, the shipped ones for the rig by default, checked against the task."""
-    path = path or shipped_weights(HEAD_FILE, config)
-    head = HeadDetector(LeakageHead.load(path)).on(config)
-    check_head(head, config, str(path))
+        reads = f"reads at least {head.settings.window} observations, an episode has {config.steps}"
+        raise ConfigurationError(f"{path}: {reads}")
     return head

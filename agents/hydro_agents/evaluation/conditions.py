@@ -77,7 +77,6 @@ class Part(NamedTuple):
 
 PARTS = {
     "tracking": Part("cases", "tracking:tracking", "robustness"),
-    "episodes": Part("detection", "detection:episodes", "robustness"),
     "standstill": Part("limit_cycles", "tracking:standstill", "robustness"),
     "windows": Part("windows", "leak_protocol:windows", "leakage"),
     "leak_bound": Part("bound", "hydro_rig.estimation.information:leak_bound", "leakage"),

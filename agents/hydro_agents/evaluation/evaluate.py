@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import Field
 
@@ -19,9 +18,6 @@ from hydro_env import TaskConfig
 from hydro_env.files import validate
 from hydro_env.task.configuration import task_config
 from hydro_env.units import Number
-
-if TYPE_CHECKING:
-    from hydro_agents.detection.head import LeakageHead
 
 
 class ProtocolSettings(PairedCases):
@@ -64,7 +60,6 @@ class ProtocolSettings(PairedCases):
 def evaluate(
     task: TaskConfig | Mapping[str, Any] | str | Path | None,
     controllers: Mapping[str, Controller | str | Path],
-    head: LeakageHead | None = None,
     settings: ProtocolSettings | Mapping[str, Any] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     folder: Path | None = None,
@@ -80,7 +75,6 @@ def evaluate(
             :func:`~hydro_agents.learning.loading.load_controller`. The first one is the baseline of the ratios.
             ``NAME#0``, ``NAME#1``, … are training seeds of one controller: they share its rows,
             whose intervals include the seeds.
-        head: leakage head, run under every controller; ``None`` leaves detection out.
         settings: size of the evaluation, :class:`ProtocolSettings` or its fields.
         progress: called with the name of the phase, the number of jobs done, and their total.
         folder: keeps the results of finished jobs, and gives those that it has.
@@ -102,13 +96,7 @@ def evaluate(
     if not isinstance(settings, ProtocolSettings):
         settings = validate(ProtocolSettings, settings or {}, "evaluation")
     protocol = settings.protocol(config)
-    chosen = participants(controllers, protocol)
-    if head is not None:
-        from hydro_agents.detection.monitor import check_head
-
-        check_head(head, config, "leakage head")
-        chosen = replace(chosen, head=head)
-    results = run(protocol, chosen, folder, progress=progress)
+    results = run(protocol, participants(controllers, protocol), folder, progress=progress)
     for message in results.errors:
         warnings.warn(message, stacklevel=2)
     return results

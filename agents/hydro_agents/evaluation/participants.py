@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, controller_with_gains, make_controller
@@ -17,10 +17,6 @@ from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
-
-if TYPE_CHECKING:
-    from hydro_agents.detection.head import LeakageHead
-
 
 NAMES = {"flow_linearising": "Flow linearisation", "ppo": "PPO on flow linearisation"}  # the others are abbreviations
 
@@ -53,7 +49,6 @@ class Participants:
 
     controllers: Mapping[str, Controller]
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
-    head: LeakageHead | None = None  # watches episodes under each of them
     corrects: Mapping[str, str] = field(default_factory=dict)  # names of policies and of what they correct, if known
 
     @property

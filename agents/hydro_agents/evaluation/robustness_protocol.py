@@ -84,9 +84,6 @@ class PairedCases(Group):
     standstill_plants: int = Field(
         4, ge=0, le=SEEDS_PER_FAMILY, description="plants of the search for limit cycles, per leak; 0: no search"
     )
-    detection_episodes: int = Field(
-        4000, ge=100, le=200_000, description="for a head that watches: per controller, half of them healthy"
-    )
 
     @model_validator(mode="after")
     def _possible_cases(self) -> Self:
@@ -141,8 +138,8 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Tracking and standstills; detection where a head watches."""
-        return ("tracking", "standstill", "episodes") if self.standstill_plants else ("tracking", "episodes")
+        """Tracking, and standstills where the protocol has plants for them."""
+        return ("tracking", "standstill") if self.standstill_plants else ("tracking",)
 
     @classmethod
     def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:

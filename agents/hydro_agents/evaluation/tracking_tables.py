@@ -1,4 +1,4 @@
-"""The tables of a protocol of controllers: summary, comparison, ranking, worst cases, growth, rest, detection."""
+"""The tables of a protocol of controllers: summary, comparison, ranking, worst cases, growth, rest."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.comparison import ALL, Grid, Mask
-from hydro_agents.evaluation.detection import detection_rates
 from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
 from hydro_agents.evaluation.runner import FAILED, Results, table
 from hydro_agents.running.limit_cycles import counted
@@ -188,9 +187,3 @@ def limit_cycle_summary(results: Results) -> pd.DataFrame:
     """Number and largest amplitude of the limit cycles at rest, per controller."""
     groups = results.part("standstill").groupby("controller", sort=False)
     return pd.DataFrame([{"controller": name, **counted(own)} for name, own in groups])
-
-
-@table("detection_rates", of="episodes")
-def rates(results: Results) -> pd.DataFrame:
-    """Share of episodes flagged, by class and size of the leak."""
-    return detection_rates(results.part("episodes"), results.protocol.task)

@@ -1,6 +1,6 @@
 """The page of every protocol of controllers (study, evaluation, robustness): errors and costs, relative to the first.
 
-A part whose table is missing is left out: single runs, detection and training stand on the page of a study, the map of
+A part whose table is missing is left out: single runs and training stand on the page of a study, the map of
 conditions on that of a protocol with several.
 """
 
@@ -98,8 +98,6 @@ def controllers_page(
     by_leak(page, tables)
     by_kind(page, tables)
     single_runs(page, examples)
-    if "detection_rates" in tables:
-        detection(page, tables)
     if "training_curve" in tables:
         training(page, tables["training_curve"], names)
     method(page, tables)
@@ -297,26 +295,7 @@ def example_axes(example: Example) -> list[Axes]:
     return axes
 
 
-# Detection and method -------------------------------------------------------------------------------------------------
-
-
-def detection(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
-    """The leakage head under every controller: shares of whole episodes that it flags, by size."""
-    page.heading("Detecting the leak")
-    rates, names = tables["detection_rates"], names_of(tables)
-    ranges = (rates["group"] == "range") & ~rates["value"].str.startswith("≥")
-    axes = panel(xlabel="leak, l/min at 100 bar", ylabel="flagged, % of episodes", ylim=(-2.0, 102.0))
-    shown = rates[ranges | (rates["value"] == "healthy")]
-    draw(axes, shown, "value", "flagged_share", names, factor=100.0, kind="points")
-    page.figure(axes, "Flagged episodes by leak", "Bars: 95 % interval. Flags on healthy seals are false alarms.")
-    page.table(flagged(rates), "Flagged episodes, %, by leak in l/min at 100 bar")
-
-
-def flagged(rates: pd.DataFrame) -> pd.DataFrame:
-    """Shares of flagged episodes, %, without and with leaks by size: a column per controller."""
-    rows = rates[(rates["group"] == "range") | (rates["value"] == "healthy")]
-    shares = 100.0 * rows.pivot(index="value", columns="controller", values="flagged_share")
-    return shares.loc[rows["value"].unique(), rows["controller"].unique()].rename_axis(columns=None)
+# Training and method --------------------------------------------------------------------------------------------------
 
 
 def learning_of(curve: pd.DataFrame) -> pd.DataFrame:
@@ -349,8 +328,7 @@ def method(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
     page.heading("How it was measured")
     page.points(
         [
-            f"Intervals of means and ratios: 95 %, bootstrap over plants ({RESAMPLES} resamplings) and training seeds; "
-            "of shares: 95 %, Wilson.",
+            f"Intervals of means and ratios: 95 %, bootstrap over plants ({RESAMPLES} resamplings) and training seeds.",
             "A seed fixes plant, reference and noise. Ratio: mean error over that of the baseline on the same runs; "
             "with equal weights: geometric mean of the ratios of all kinds of reference.",
             FRAMES_TEXT,

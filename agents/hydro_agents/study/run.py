@@ -1,4 +1,4 @@
-"""Runs a study: tune and train its controllers and the leakage head, then compare all controllers.
+"""Runs a study: tune and train its controllers, then compare all of them.
 
 The output folder gets the result of each phase, and meanwhile its finished jobs; an interrupted study can therefore
 resume. A study with several training seeds trains each learned controller once per seed, as ``NAME#0``, ``NAME#1``, …:
@@ -19,7 +19,6 @@ import pandas as pd
 
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import GAINS_FILE, make_controller
-from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.participants import participants
 from hydro_agents.evaluation.runner import Results, run
@@ -31,12 +30,10 @@ from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.seeds import SEED_MARK, TRIAL_RUN
 from hydro_agents.study.settings import StudySettings
 from hydro_agents.study.training import (
-    HEAD_WEIGHTS,
     TRAINING_FILES,
     WEIGHTS,
     read_curve,
     train_controller,
-    train_leakage_head,
     tune_controller,
 )
 from hydro_env import ConfigurationError
@@ -46,7 +43,7 @@ CONFIG_FILE = "study.yaml"
 TUNED_FILE = "tuned_study.yaml"
 """The study with the tuned gains, for `hydro evaluate --config` and `hydro train --config`."""
 
-TRAINED_BY = ("seed", "task", "controllers", "leakage_head")
+TRAINED_BY = ("seed", "task", "controllers")
 """Settings on which trained weights depend; the others may change when a study resumes."""
 
 
@@ -61,7 +58,7 @@ def claimed(
     study: StudySettings, folder: Path, seeds: range, files: Sequence[str], resume: bool, overwrite: bool
 ) -> AbstractContextManager[Path]:
     """The folder of a study, for its files and ``files``; see :func:`~hydro_agents.running.folders.output_folder`."""
-    writes = [CONFIG_FILE, TUNED_FILE, f"{HEAD_WEIGHTS}.*", RESULT_FILES, *files]
+    writes = [CONFIG_FILE, TUNED_FILE, RESULT_FILES, *files]
     for name in study.trained:
         for label in labels_of(study, name, seeds):
             writes += [f"controllers/{label}/{file}" for file in TRAINING_FILES]
@@ -82,7 +79,7 @@ def run_study(
     Args:
         study: the study, checked.
         folder: for its files.
-        seeds: of the trainings; the first one is that of the tuning and of the leakage head.
+        seeds: of the trainings; the first one is that of the tuning.
         display: shows the progress.
         facts: more rows of the table ``protocol``: key and value.
 
@@ -112,10 +109,8 @@ def run_study(
         for label, seed in labels_of(study, name, seeds).items():
             known[label] = _trained(study, label, folder, seed, known, display)
     controllers = {label: known[label] for name in study.controllers for label in labels_of(study, name, seeds)}
-    acting = [controllers[next(iter(labels_of(study, name, seeds)))] for name in study.controllers]
-    head = _head(study, folder, seeds[0], acting, display)
     protocol = study.evaluation.protocol(study.task, study.title)
-    chosen = replace(participants(controllers, protocol), head=head, corrects=study.corrects)
+    chosen = replace(participants(controllers, protocol), corrects=study.corrects)
     results = run(protocol, chosen, folder, None, display.update, facts)
     curve = pd.concat([read_curve(folder / "controllers" / label).assign(controller=label) for label in controllers])
     if len(curve):
@@ -179,14 +174,3 @@ def _trained(
     if entry.corrects is not None:
         base = known.get(f"{entry.corrects}{SEED_MARK}{seed}") or known[entry.corrects]
     return train_controller(study, label, own, seed, base, display)
-
-
-def _head(
-    study: StudySettings, folder: Path, seed: int, acting: Sequence[Controller], display: ProgressDisplay
-) -> LeakageHead | None:
-    if study.leakage_head is None:
-        return None
-    if any(folder.glob(f"{HEAD_WEIGHTS}.*")):
-        display.say("leakage head: already trained")
-        return LeakageHead.load(folder / HEAD_WEIGHTS)
-    return train_leakage_head(study, folder, seed, acting, display)

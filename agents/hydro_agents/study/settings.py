@@ -1,4 +1,4 @@
-"""Settings of a study: task, controllers, training of the leakage head, size of the evaluation.
+"""Settings of a study: task, controllers, size of the evaluation; and those of the leakage head's training.
 
 A file is validated once, in whole: the settings of a controller too become gains or settings of a training. On another
 rig gains are tuned first, and controllers that need a sensor that the rig lacks are left out.
@@ -119,8 +119,9 @@ class StudySettings(Group):
     controllers: dict[Name, ControllerEntry] = Field(
         min_length=1, description="by name; the first one is the baseline of the comparison"
     )
-    leakage_head: HeadTrainingSettings | None = Field(
-        default_factory=HeadTrainingSettings, description="null: the study trains no leakage head"
+    leakage_head: HeadTrainingSettings = Field(
+        default_factory=HeadTrainingSettings,
+        description="for hydro train head, with task and controllers of the study",
     )
     evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
 
@@ -168,16 +169,12 @@ class StudySettings(Group):
             source: for messages.
 
         Raises:
-            ConfigurationError: a controller cannot be made, settings contradict each other, or the episodes are too
-                short for the leakage head.
+            ConfigurationError: a controller cannot be made, or settings contradict each other.
         """
         errors: list[ConfigurationError] = []
         for name in self.controllers:
             with kept(errors), at(f"{source}: controllers.{name}"):
                 self._check_controller(name)
-        if self.leakage_head is not None:
-            with kept(errors), at(source):
-                self.leakage_head.check(self.task)
         refuse(errors, source)
 
     def _check_controller(self, name: str) -> None:
@@ -338,8 +335,7 @@ def _begun(entry: ControllerEntry) -> ControllerEntry:
 def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[str]]:
     """The part of a study that works with the sensors of its task.
 
-    A classical controller that reads an absent sensor is left out, and so is one that corrects it. The leakage head
-    needs all sensors.
+    A classical controller that reads an absent sensor is left out, and so is one that corrects it.
 
     Returns:
         The study, and one line per change; the study itself if the rig lacks no sensor.
@@ -347,8 +343,7 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
     Raises:
         ConfigurationError: no controller is left.
     """
-    absent = [name for name in SENSORS if not getattr(study.task.sensors, name).fitted]
-    if not absent:
+    if all(getattr(study.task.sensors, name).fitted for name in SENSORS):
         return study, []
     kept: dict[str, ControllerEntry] = {}
     notes = []
@@ -367,6 +362,4 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
             kept[name] = entry
     if not kept:
         raise ConfigurationError(f"no controller works with the sensors of this rig: {notes[0]}")
-    if study.leakage_head is not None:
-        notes.append(f"trains no leakage head: it would read {', '.join(absent)}, but this rig has no such sensor")
-    return study.model_copy(update={"controllers": kept, "leakage_head": None}), notes
+    return study.model_copy(update={"controllers": kept}), notes

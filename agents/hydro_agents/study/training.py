@@ -11,7 +11,6 @@ import pandas as pd
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import gains_text, make_controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from hydro_agents.learning.stable_gain import stable_start
 from hydro_agents.learning.tuning import Search, Tuned, tune
@@ -148,12 +147,9 @@ def train_leakage_head(
     """
     from hydro_agents.detection.head_training import train_head  # loads torch
 
-    settings = study.leakage_head or HeadTrainingSettings()
-    settings.check(study.task)
-
     def report(phase: str, done: int, total: int, loss: float) -> None:
         display.update(f"leakage head, {phase}", done, total, "" if math.isnan(loss) else f"loss {loss:.4f}")
 
-    head = train_head(study.task, controllers, settings, seed, report, folder)
+    head = train_head(study.task, controllers, study.leakage_head, seed, report, folder)
     head.save(folder / HEAD_WEIGHTS)
     return head

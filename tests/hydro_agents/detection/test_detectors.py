@@ -8,7 +8,7 @@ import pytest
 from faulty_windows import made
 from refusal import refused
 
-from hydro_agents.detection.detector import Cause, Why, logit
+from hydro_agents.detection.detector import Cause, Why, logit, threshold_at_false_alarm_rate
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
@@ -78,3 +78,14 @@ def test_the_detector_of_the_page_works_in_the_protocol_and_under_an_alarm(tmp_p
     assert leaking.score.mean() > tight.score.mean()
     blind = TaskConfig(sensors={"pressure_a": {"fitted": False}})
     assert "needs both pressures" in detector.refuses(blind, 400)
+
+
+@pytest.mark.parametrize("count", [1, 100, 1000])
+@pytest.mark.parametrize("rate", [0.0, 0.01])
+@pytest.mark.parametrize("decimals", [1, 12])
+def test_threshold_never_exceeds_the_false_alarm_rate(count, rate, decimals):
+    healthy = np.round(np.random.default_rng(count).random(count), decimals)
+    threshold = threshold_at_false_alarm_rate(healthy, rate)
+    assert np.mean(healthy >= threshold) <= rate
+    # It is the lowest: the next healthy score below it would be too many.
+    assert np.mean(healthy >= healthy[healthy < threshold].max()) > rate

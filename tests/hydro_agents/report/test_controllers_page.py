@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from made_up_tables import protocol_tables
 from parsed_page import ODD_NAME, Parsed
-from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
@@ -24,9 +23,7 @@ from hydro_env import TaskConfig
 
 ERROR, BASE_ERROR = "validation/mean_error_mm", "validation/base_mean_error_mm"
 CONFIG = TaskConfig(episode_duration=0.4)
-SETTINGS = ProtocolSettings(
-    plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=120, standstill_plants=1
-)
+SETTINGS = ProtocolSettings(plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), standstill_plants=1)
 
 
 def shown(tables, **parts):
@@ -45,7 +42,7 @@ def text_of(part, *arguments):
 def tables():
     gains = {"PID": 200.0, ODD_NAME: 60.0}
     controllers = {name: PID(PIDGains(proportional=gain), CONFIG) for name, gain in gains.items()}
-    return evaluate(CONFIG, controllers, untrained_head(CONFIG), SETTINGS).tables()
+    return evaluate(CONFIG, controllers, SETTINGS).tables()
 
 
 def test_the_page_shows_every_part(tables):
@@ -59,7 +56,7 @@ def test_the_page_shows_every_part(tables):
         examples=[example],
         configuration="task:\n  control_period: 0.005 # <&>\n",
     )
-    for part in ("Single runs", "Detecting the leak", "Training", "control_period: 0.005 # <&>", ODD_NAME):
+    for part in ("Single runs", "Training", "control_period: 0.005 # <&>", ODD_NAME):
         assert part in text
     assert "A small run: 3 plants" in text
     assert "no test seeds" not in text
@@ -67,10 +64,10 @@ def test_the_page_shows_every_part(tables):
     assert "no test seeds" in text_of(verdict, {**tables, "cases": cases.assign(seed=cases["seed"] - 2_000_000)})
 
 
-def test_one_controller_without_a_head():
+def test_one_controller_alone():
     settings = SETTINGS.model_copy(update={"leak_levels": (0.3,), "families": ("step",)})
-    text = shown(evaluate(CONFIG, {"PID": PID(PIDGains(), CONFIG)}, None, settings).tables())
-    for absent in ("Detecting the leak", "Ratio of errors by", "nan", "clearly better"):
+    text = shown(evaluate(CONFIG, {"PID": PID(PIDGains(), CONFIG)}, settings).tables())
+    for absent in ("Ratio of errors by", "nan", "clearly better"):
         assert absent not in text
 
 

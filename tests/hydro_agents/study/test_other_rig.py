@@ -73,11 +73,9 @@ def test_a_study_leaves_out_what_cannot_work(files, capsys):
     rig, file = files
     study = default_study(file, rig=rig)
     assert list(study.controllers) == ["PID"]
-    assert study.leakage_head is None
     assert [line.split(":")[1].strip() for line in capsys.readouterr().err.splitlines()] == [
         "Flow linearisation is left out",
         "PPO is left out",
-        "trains no leakage head",
     ]
     file.write_text(STUDY.replace("  PID: {kind: pid, tune: {evaluations: 12, cases: 7}}\n", ""))
     with refused("no controller works with the sensors of this rig"):
@@ -94,9 +92,7 @@ def test_a_study_with_a_position_sensor_alone_tunes_and_reports(files, tmp_path,
     assert answer.returncode == 0, answer.stderr
     for name in ("controllers/PID/gains.yaml", "report.html", "tuned_study.yaml"):
         assert (tmp_path / "study" / name).is_file()
-    assert not (tmp_path / "study" / "leakage_head.safetensors").exists()
     again = default_study(tmp_path / "study" / "tuned_study.yaml")
-    assert again.leakage_head is None
     assert again.controllers["PID"].tune is None
 
 

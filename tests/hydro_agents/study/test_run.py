@@ -15,7 +15,6 @@ from refusal import refused
 from hydro_agents.commands import controller_pages
 from hydro_agents.commands.evaluate import evaluate
 from hydro_agents.commands.study import train, whole_study
-from hydro_agents.detection import dataset
 from hydro_agents.learning import tuning
 from hydro_agents.study import training
 from hydro_agents.study.settings import StudySettings, default_study
@@ -70,18 +69,11 @@ CONTROLLERS = {
 VALUES = {
     "task": {"episode_duration": 0.4},
     "controllers": CONTROLLERS,
-    "leakage_head": {"episodes": 40, "validation_episodes": 40, "epochs": 1, "width": 4, "batch": 64},
     "evaluation": {
-        **{"plants": 3, "detection_episodes": 100, "standstill_plants": 1},
+        **{"plants": 3, "standstill_plants": 1},
         **{"leak_levels": [0.01, 4.0], "families": ["step"]},
     },
 }
-
-
-@pytest.fixture(autouse=True)
-def few_operations(monkeypatch):
-    """Two of the kinds of operation on which a head is trained: under the controllers, and by hand."""
-    monkeypatch.setattr(dataset, "OPERATIONS", (dataset.OPERATIONS[0], dataset.OPERATIONS[6]))
 
 
 @pytest.fixture
@@ -124,9 +116,8 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
     folder = tmp_path / "out"
     result = run_study(settings, folder, seed=5)
     printed = capsys.readouterr().out.splitlines()
-    phases = ["train mine", *(f"leakage head, {part}" for part in ("data", "validation", "training"))]
     shown = {line.split(":")[0] for line in printed if re.search(r":  ?( ?\d+ %|begun|done)", line)}
-    assert shown == {*phases, "jobs", "page"}
+    assert shown == {"train mine", "jobs", "page"}
     assert printed[-1] == f"page: {folder / 'report.html'}"
     assert [(call["seed"], call["resume"]) for call in algorithm.calls] == [(5, False)]
     assert type(algorithm.calls[0]["base"]).__name__ == "PID"
@@ -150,14 +141,14 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
     pd.testing.assert_frame_equal(again.table("cases"), result.table("cases"))
     assert "Another" in (folder / "report.html").read_text()
 
-    anew = run_study(settings.model_copy(update={"leakage_head": None}), folder, seed=5, overwrite=True)
+    anew = run_study(settings, folder, seed=5, overwrite=True)
     assert len(algorithm.calls) == 2
     pd.testing.assert_frame_equal(anew.table("comparison"), result.table("comparison"))
 
 
 def test_training_seeds_share_the_rows_of_their_controller_and_correct_the_same_seed(algorithm, settings, tmp_path):
     after = {"kind": "my_study_algorithm:Trainer", "settings": {"gain": 1.0}, "corrects": "mine"}
-    values = {**VALUES, "controllers": {**CONTROLLERS, "after": after}, "leakage_head": None}
+    values = {**VALUES, "controllers": {**CONTROLLERS, "after": after}}
     result = whole_study(StudySettings(**values), tmp_path / "out", range(3, 5))
     assert [call["seed"] for call in algorithm.calls] == [3, 4, 3, 4]
     assert len({id(call["base"]) for call in algorithm.calls}) == 3  # the PID, and both seeds of the first one
@@ -171,7 +162,7 @@ def test_training_seeds_share_the_rows_of_their_controller_and_correct_the_same_
 
 
 def test_a_stopped_training_goes_on_from_its_checkpoint_and_never_from_an_older_one(algorithm, settings, tmp_path):
-    folder, settings = tmp_path / "out", settings.model_copy(update={"leakage_head": None})
+    folder = tmp_path / "out"
     algorithm.fate = "late"
     stopped(settings, folder, seed=1)
     assert not (folder / "report.html").exists()
@@ -186,19 +177,10 @@ def test_a_stopped_training_goes_on_from_its_checkpoint_and_never_from_an_older_
     assert [call["resume"] for call in algorithm.calls] == [False, True, False, False]
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"controllers": {**CONTROLLERS, "broken": {"kind": "my_study_algorithm:Broken"}}},
-            r"controllers\.broken: seed 1999998, at 0.000 s: predict returned nan",
-        ),
-        ({"leakage_head": {"lowest_healthy_flow": 5.0}}, "lowest_healthy_flow"),
-    ],
-)
-def test_what_cannot_work_stops_the_study_before_it_trains(algorithm, tmp_path, changes, message):
-    with refused(message):
-        run_study(StudySettings(**{**VALUES, **changes}), tmp_path / "out", seed=0)
+def test_a_controller_that_fails_stops_the_study_before_it_trains(algorithm, tmp_path):
+    controllers = {**CONTROLLERS, "broken": {"kind": "my_study_algorithm:Broken"}}
+    with refused(r"controllers\.broken: seed 1999998, at 0.000 s: predict returned nan"):
+        run_study(StudySettings(**{**VALUES, "controllers": controllers}), tmp_path / "out", seed=0)
     assert algorithm.calls == []
     assert not list(tmp_path.glob("out/controllers/*"))
 
@@ -207,19 +189,17 @@ def test_evaluate_joins_training_seeds_and_keeps_the_results_of_the_others(setti
     file, out = study_file(tmp_path), tmp_path / "out"
     agents = ["mine#0=pid", "mine#1=flow_linearising", "broken=my_study_algorithm:Broken"]
     with refused(r"broken under task: .*out holds the other results"):
-        evaluate(out, file, agents, head=Path("none"))
-    assert "leakage head flags" not in capsys.readouterr().out
+        evaluate(out, file, agents)
     status = pd.read_csv(out / "tables" / "status.csv").set_index("controller").loc["broken"]
     assert status["message"].startswith("seed 2000000, reference step, leak 0.01 l/min, at 0.000 s: predict returned")
-    assert not (out / "tables" / "detection.csv").exists()
     assert pd.read_csv(out / "tables" / "limit_cycle_summary.csv")["standstills"].tolist() == [2, 4]
     cases = pd.read_csv(out / "tables" / "cases.csv")  # the seeds replace the study's controller, which has no weights
     assert cases.groupby("controller", sort=False)["training_seed"].nunique().to_dict() == {"PID": 1, "mine": 2}
     with refused("holds results already"):
-        evaluate(out, file, agents, head=Path("none"))
+        evaluate(out, file, agents)
     for options, message in (
         ({"head": Path("none"), "protocol": "quick"}, "--head: a protocol takes it from its file"),
-        ({"head": Path("none"), "config": file, "agent": ["mine#0=pid", "mine=pid"]}, "the same training seed"),
+        ({"config": file, "agent": ["mine#0=pid", "mine=pid"]}, "the same training seed"),
     ):
         with refused(message):
             evaluate(tmp_path / "new", **options)
@@ -242,6 +222,12 @@ def test_train_takes_any_trained_controller_of_the_study_and_tunes_what_it_corre
     ):
         with refused(message):
             train(what, tmp_path / "new", file, **options)
+    for changes, message in (
+        ({"leakage_head": {"lowest_healthy_flow": 5.0}}, "lowest_healthy_flow"),
+        ({"task": {"episode_duration": 0.2}}, "an episode of 40 control periods .* at least 50"),
+    ):
+        with refused(message):
+            train("head", tmp_path / "new", study_file(tmp_path, **changes))
     assert not (tmp_path / "new").exists()
 
 
@@ -268,6 +254,6 @@ def test_a_study_on_another_rig_tunes_first_and_can_be_resumed(algorithm, settin
 
     # The study with the gains, which needs no tuning.
     weights = [f"mine={folder / 'controllers' / 'mine' / 'policy'}"]
-    evaluate(tmp_path / "again", folder / "tuned_study.yaml", weights, head=folder / "leakage_head")
+    evaluate(tmp_path / "again", folder / "tuned_study.yaml", weights)
     again = pd.read_csv(tmp_path / "again" / "tables" / "cases.csv")
     np.testing.assert_array_equal(again["mean_error_mm"], result.table("cases")["mean_error_mm"])

@@ -87,8 +87,6 @@ WRONG = (
     (BESIDE.format("kind: pid, corrects: PID"), r"controllers.other: corrects: only a trained one"),
     (BESIDE.format('kind: "my_algorithm:Settings"'), r"other: Settings: takes keywords alone, not TaskConfig"),
     (BESIDE.format('kind: "my_algorithm:MyTrainer", settings: {stops: 1}'), r"controllers.other.settings.stops"),
-    (PLAIN + "leakage_head: {lowest_healthy_flow: 5}\n", r"lowest_healthy_flow"),
-    (PLAIN + "task: {episode_duration: 0.2}\n", r"an episode of 40 control periods .* at least 50"),
 )
 
 
