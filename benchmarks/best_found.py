@@ -9,6 +9,7 @@ Run: python -m benchmarks.best_found [--task NAME|FILE] [--plants 3] [--leak 0.0
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from benchmarks import command_line
 from hydro_agents.evaluation.evaluate import evaluate
 from hydro_agents.evaluation.metrics import ERROR, ERROR_SENSOR
-from hydro_agents.evaluation.participants import shipped_controllers
+from hydro_agents.study.settings import default_study
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients
@@ -291,7 +292,10 @@ def main() -> None:
     given = command_line(__doc__, task=str, plants=3, leak=[0.01, 0.3, 1.0, 4.0])
     task = task_config(given.task)
     size = {"plants": given.plants, "leak_levels": given.leak, "standstill_plants": 0}
-    controllers = {**shipped_controllers(task), "best found": BestFound(task)}
+    controllers = {
+        **default_study(Path("opponents"), task).with_gains_of_rig().with_weights({}),
+        "best found": BestFound(task),
+    }
     cases = evaluate(task, controllers, settings=size).table("cases")
     for column in (ERROR_SENSOR, ERROR, "valve_travel_per_s"):
         for by in ("family", "leakage_flow_lpm"):

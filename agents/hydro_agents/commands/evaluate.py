@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,6 +24,8 @@ from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
     from hydro_agents.commands.protocols import Options
+
+OPPONENTS = "opponents"  # the study whose controllers run a protocol by default
 
 
 def evaluate(
@@ -61,13 +63,13 @@ def evaluate(
     a controller fails, the results of the others are kept. `--agent NAME#0=…` and `NAME#1=…` give training seeds of one
     controller, which share its row. One line names each controller that oscillates at rest.
 
-    With `--rig` the task is moved to another rig. The command takes the gains and weights that ship for this rig.
-    Without them flow linearisation has its gains for any rig, a simulation of the rig searches those of the PID, a
-    minute or two, the policy is that for any axis, and other controllers are left out, with one line each.
+    With `--rig` the task is moved to another rig. There flow linearisation has its gains for any rig, a simulation of
+    the rig searches those of the PID, a minute or two, the policy is that for any axis, and other controllers are left
+    out, with one line each.
 
-    With `--protocol` the shipped controllers (or those of `--config`) and your own run under every condition of a
-    protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--task` and `--rig`
-    replace those of the protocol. Ctrl-C keeps the finished jobs, and `--resume` goes on.
+    With `--protocol` the controllers of the study `opponents` (or of `--config`) and your own run under every condition
+    of a protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--task` and `--rig` replace
+    those of the protocol. Ctrl-C keeps the finished jobs, and `--resume` goes on.
 
     With `--protocol leakage` the leakage head (that of `--head`, or the shipped one) and the estimator read windows of
     healthy, leaking and otherwise faulty axes under many motions and controllers. The command writes tables and a page
@@ -101,26 +103,21 @@ def evaluate(
 
 
 def _evaluate_controllers(agents: dict[str, str], study_file: Path | None, options: Options) -> None:
-    """Run a protocol of controllers: those of a study, or all that ship, and agents, which replace them by name."""
+    """Run a protocol of the controllers of a study, and of agents, which replace them by name."""
+    from dataclasses import replace
+
     from hydro_agents.commands.controller_pages import robustness_page
     from hydro_agents.commands.protocols import run_protocol
-    from hydro_agents.evaluation.participants import participants, shipped_controllers, split_name
+    from hydro_agents.evaluation.participants import participants
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+    from hydro_agents.study.settings import StudySettings
     from hydro_env.folders import config_file
 
     protocol = options.read(RobustnessProtocol)
-    if study_file is None:
-        controllers: dict[str, Any] = dict(shipped_controllers(protocol.task))
-        for name in agents:
-            if split_name(name)[0] not in agents:  # training seeds stand at the end
-                controllers.pop(split_name(name)[0], None)
-        controllers |= agents
-    else:
-        from hydro_agents.study.settings import StudySettings
-
-        study = StudySettings.from_yaml(config_file("studies", study_file)).model_copy(update={"task": protocol.task})
-        controllers = study.with_gains_of_rig().with_weights(agents)
-    run_protocol(protocol, participants(controllers, protocol), options, robustness_page(), protocol)
+    study = StudySettings.from_yaml(config_file("studies", study_file or OPPONENTS))
+    study = study.model_copy(update={"task": protocol.task}).with_gains_of_rig()
+    chosen = replace(participants(study.with_weights(agents), protocol), corrects=study.corrects)
+    run_protocol(protocol, chosen, options, robustness_page(), protocol)
 
 
 def _evaluate_detectors(head: Path | None, options: Options) -> None:

@@ -2,45 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.controllers.registry import CONTROLLERS, controller_with_gains, make_controller
+from hydro_agents.controllers.registry import controller_with_gains
 from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.learning.loading import SHIPPED_WEIGHTS, GainsOrigin, load_controller, origin_of_gains
-from hydro_agents.running.folders import config_folder
+from hydro_agents.learning.loading import load_controller
 from hydro_agents.running.seeds import SEED_MARK
-from hydro_env import ConfigurationError, PlantParameters, TaskConfig
-from hydro_env.files import read_yaml
-
-NAMES = {"flow_linearising": "Flow linearisation", "ppo": "PPO on flow linearisation"}  # the others are abbreviations
-
-
-def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:
-    """Controllers with gains or weights for the rig of a task, by name; the first one, the PID, is the baseline."""
-    kinds = [kind for kind in CONTROLLERS if origin_of_gains(kind, task) != GainsOrigin.NOWHERE]
-    named: dict[str, Controller | str] = {_name(kind): kind for kind in (*kinds, *SHIPPED_WEIGHTS)}
-    if task.plant != PlantParameters():
-        gone = ", ".join(_name(kind) for kind in CONTROLLERS if origin_of_gains(kind, task) == GainsOrigin.NOWHERE)
-        print(f"hydro: left out: {gone}: no gains for this rig; hydro study --rig tunes some", file=sys.stderr)
-        return named
-    mended = make_controller("pid", task, read_yaml(config_folder() / "agents" / "pid_mended.yaml"))
-    return {"PID": "pid", "PID mended": mended, **named}
-
-
-def _name(kind: str) -> str:
-    return NAMES.get(kind, kind.upper())
-
-
-def _called(controller: Controller) -> str:
-    """The name of a corrected controller."""
-    kinds = [kind for kind, (registered, _) in CONTROLLERS.items() if type(controller) is registered]
-    return _name(kinds[0]) if kinds else type(controller).__name__
+from hydro_env import ConfigurationError
 
 
 @dataclass(frozen=True)
@@ -50,16 +23,6 @@ class Participants:
     controllers: Mapping[str, Controller]
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
     corrects: Mapping[str, str] = field(default_factory=dict)  # names of policies and of what they correct, if known
-
-    @property
-    def corrected(self) -> dict[str, str]:
-        """Names of the policies, and of the controller that each corrects."""
-        found = {}
-        for name, controller in self.controllers.items():
-            base = getattr(getattr(controller, "features", None), "base", None)
-            if base is not None:
-                found[split_name(name)[0]] = _called(base)
-        return found | dict(self.corrects)
 
     def of(self, name: str, condition: str, protocol: RobustnessProtocol) -> Controller | str:
         """The controller that runs under a condition, or the reason why none can.

@@ -82,7 +82,7 @@ def comparison(results: Results) -> pd.DataFrame:
             row = grid.compare(controller, baseline, *part)
             if row["cases"]:
                 rows.append({"controller": controller, "against": baseline, "group": group, "value": value, **row})
-    for controller, base in results.participants.corrected.items():
+    for controller, base in results.participants.corrects.items():
         if controller in others and base in others:
             row = grid.compare(controller, base, grid.all_plants, grid.all_situations)
             rows.append({"controller": controller, "against": base, "group": ALL, "value": "", **row})

@@ -20,7 +20,6 @@ from hydro_env.files import Group, read_yaml
 from hydro_env.mistakes import unknown
 from hydro_env.task.law import RigLaw
 from hydro_env.task.paces import outside_law
-from hydro_env.task.rig import read_rig
 
 if TYPE_CHECKING:
     from hydro_agents.learning.rig_gains import GainsFor
@@ -58,11 +57,11 @@ def _searched(kind: str, config: TaskConfig) -> Group:
 
 
 def shipped(kind: str, config: TaskConfig, gains: GainsFor = _chosen) -> Controller:
-    """The controller that comes with the project: with gains or weights of the task's rig, if such ones ship.
+    """The controller that comes with the project: on the paper's rig with gains or weights for it.
 
-    On a rig that has none of its own, flow linearisation takes its gains for any rig, the defaults of its class.
-    ``gains`` finds those of a PID there, and those that a policy for any axis corrects: one of a few sets by default,
-    in seconds; :func:`load_controller` searches for a minute.
+    On any other rig flow linearisation takes its gains for any rig, the defaults of its class. ``gains`` finds those of
+    a PID there, and those that a policy for any axis corrects: one of a few sets by default, in seconds;
+    :func:`load_controller` searches for a minute.
 
     Raises:
         ConfigurationError: the kind is not shipped, or has no gains for the rig.
@@ -78,7 +77,7 @@ def shipped(kind: str, config: TaskConfig, gains: GainsFor = _chosen) -> Control
         return load_policy(shipped_weights(SHIPPED_WEIGHTS[kind], config), config, gains)
     match origin_of_gains(kind, config):
         case GainsOrigin.TUNED:
-            return make_controller(kind, config, read_yaml(gains_file(kind, config) or usual_gains(kind)))
+            return make_controller(kind, config, read_yaml(usual_gains(kind)))
         case GainsOrigin.ANY_RIG:
             return make_controller(kind, config)
         case GainsOrigin.RIG:
@@ -176,7 +175,7 @@ def found_in(what: str | Path) -> str:
 
 def origin_of_gains(kind: str, config: TaskConfig) -> GainsOrigin:
     """Where the gains of a shipped classical controller come from on a task's rig."""
-    if config.plant == PlantParameters() or gains_file(kind, config) is not None:
+    if config.plant == PlantParameters():
         return GainsOrigin.TUNED
     if kind in ANY_RIG:
         return GainsOrigin.ANY_RIG
@@ -186,26 +185,6 @@ def origin_of_gains(kind: str, config: TaskConfig) -> GainsOrigin:
 def usual_gains(kind: str) -> Path:
     """The file of a classical controller's gains for the paper's rig."""
     return config_folder() / "agents" / f"{kind}.yaml"
-
-
-def gains_file(kind: str, config: TaskConfig) -> Path | None:
-    """The gains of a classical controller that were tuned for the task's rig, if they ship."""
-    file = config_folder() / "agents" / f"{kind}_{shipped_rig(config)}.yaml"
-    return file if file.is_file() else None
-
-
-def shipped_rig(config: TaskConfig) -> str:
-    """Name of the rig in ``configs/rigs`` that a task has, at the control period of the shipped gains; else empty."""
-    if config.plant == PlantParameters() or not _usual_period(config):
-        return ""
-    for file in (config_folder() / "rigs").glob("*.yaml"):
-        if read_rig(file).plant == config.plant:
-            return file.stem
-    return ""
-
-
-def _usual_period(config: TaskConfig) -> bool:
-    return config.control_period == TaskConfig().control_period
 
 
 def ships(kind: str, gains: Group) -> bool:

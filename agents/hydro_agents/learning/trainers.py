@@ -13,7 +13,6 @@ from hydro_agents.learning.settings import PPOSettings
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.files import Group
-from hydro_env.mistakes import unknown
 
 if TYPE_CHECKING:
     from hydro_agents.learning.progress import Progress
@@ -88,23 +87,23 @@ class PPOTrainer:
 TRAINERS: dict[str, Trainer] = {"ppo": PPOTrainer()}
 
 
-def trainer(kind: str) -> Trainer:
-    """The trainer of a name in :data:`TRAINERS`, or of ``my_module:MyTrainer``.
+def trainer(kind: str) -> Trainer | None:
+    """The trainer of a name in :data:`TRAINERS`, or of ``my_module:MyTrainer``; ``None``: it names no trainer.
 
     Raises:
-        ConfigurationError: the trainer is unknown or cannot be made.
+        ConfigurationError: the module cannot be imported, or the trainer cannot be made.
     """
-    if kind in TRAINERS:
-        return TRAINERS[kind]
     if ":" not in kind:
-        raise ConfigurationError(f"trainer '{kind}': {unknown(kind, TRAINERS)}, or my_module:MyTrainer")
+        return TRAINERS.get(kind)
     made: Any = imported(kind)
+    if not (hasattr(made, "train") and hasattr(made, "load")):
+        return None
     if isinstance(made, type):
         try:
             made = made()
         except Exception as error:  # a user's class may raise anything
             raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason(error)}") from None
-    if not (hasattr(made, "settings") and hasattr(made, "train") and hasattr(made, "load")):
+    if not hasattr(made, "settings"):
         raise ConfigurationError(f"trainer '{kind}': needs settings, train and load")
     checked: Trainer = made
     return checked

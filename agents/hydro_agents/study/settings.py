@@ -15,7 +15,6 @@ from typing import Annotated, Any
 from pydantic import Field, SerializeAsAny, StringConstraints, ValidationInfo, field_validator, model_validator
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.by_name import imported
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.conditions import at
@@ -24,7 +23,6 @@ from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.loading import (
     ANY_RIG,
     SHIPPED_WEIGHTS,
-    gains_file,
     load_controller,
     shipped,
     ships,
@@ -83,7 +81,7 @@ class ControllerEntry(Group):
         if kind in CONTROLLERS:
             return CONTROLLERS[kind][1].model_validate(given)
         try:
-            training = trainer_of(kind)
+            training = trainer(kind)
         except ConfigurationError as error:
             raise ValueError(str(error)) from None
         return given if training is None else training.settings.model_validate(given)
@@ -91,23 +89,11 @@ class ControllerEntry(Group):
     @cached_property
     def trainer(self) -> Trainer | None:
         """Its trainer; ``None`` for a controller that needs no training."""
-        return trainer_of(self.kind)
+        return trainer(self.kind)
 
     def changed(self, **fields: Any) -> ControllerEntry:
         """The entry with other fields."""
         return self.model_copy(update=fields)
-
-
-def trainer_of(kind: str) -> Trainer | None:
-    """The trainer of a kind; ``None`` for a controller that needs no training.
-
-    Raises:
-        ConfigurationError: its module cannot be imported.
-    """
-    if ":" not in kind:
-        return TRAINERS.get(kind)
-    given = imported(kind)
-    return trainer(kind) if hasattr(given, "train") and hasattr(given, "load") else None
 
 
 class StudySettings(Group):
@@ -255,8 +241,8 @@ class StudySettings(Group):
         entry = self.controllers[name]
         if entry.trainer is None:
             return load_controller(self.make(name), self.task, name)
-        corrected = self.controllers[entry.corrects].kind if entry.corrects else ""
-        if entry.kind in SHIPPED_WEIGHTS and corrected in ANY_RIG:
+        corrected = self.controllers.get(entry.corrects or "")
+        if entry.kind in SHIPPED_WEIGHTS and corrected is not None and corrected.kind in ANY_RIG:
             settings: Any = entry.settings
             has_memory = bool(settings.lstm_cells)
             if settings.law or not has_memory:  # of the shipped ones only those for any axis have a memory
@@ -264,25 +250,24 @@ class StudySettings(Group):
         raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
 
     def with_gains_of_rig(self) -> StudySettings:
-        """The study on its rig: gains that ship for another one give way to those that ship for or come from this one.
+        """The study on its rig: gains that ship give way to those that serve or come from this one.
 
-        A controller for which there are none is left out, with a line on standard error.
+        What then equals an earlier controller is left out, and so is one without gains, with a line on standard error.
         """
-        controllers = dict(self.controllers)
+        if self.task.plant == PlantParameters():
+            return self
+        controllers: dict[str, ControllerEntry] = {}
         for name, entry in self.controllers.items():
-            if self.task.plant == PlantParameters() or entry.kind not in CONTROLLERS:
-                continue
-            if not ships(entry.kind, entry.settings):
-                continue
-            if entry.kind in ANY_RIG and gains_file(entry.kind, self.task) is None:
-                continue
-            try:
-                own: Any = shipped(entry.kind, self.task, searched_gains)
-            except ConfigurationError as error:
-                print(f"hydro: left out: {name}: {error}", file=sys.stderr)
-                del controllers[name]
-            else:
-                controllers[name] = entry.changed(settings=own.gains, tune=None)
+            if entry.kind in CONTROLLERS and ships(entry.kind, entry.settings):
+                try:
+                    own: Any = shipped(entry.kind, self.task, searched_gains)
+                except ConfigurationError as error:
+                    print(f"hydro: left out: {name}: {error}", file=sys.stderr)
+                    continue
+                entry = entry.changed(settings=own.gains, tune=None)
+                if entry in controllers.values():
+                    continue
+            controllers[name] = entry
         return self.model_copy(update={"controllers": controllers})
 
 

@@ -51,13 +51,25 @@ def test_ppo_is_a_trainer(tmp_path):
         ppo.train(CONFIG, settings, base=policy, **options)
 
 
+class NoSettings:
+    train = load = None
+
+
+class Unmade(NoSettings):
+    def __init__(self, needed):
+        pass
+
+
+def test_what_names_no_trainer_has_none():
+    assert trainer("td3") is trainer("a2c_trainer:A2CSettings") is None
+
+
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
-        ("td3", "trainer 'td3': unknown; known: ppo, or my_module:MyTrainer"),
         ("a2c_trainer:Absent", "Absent"),
-        ("a2c_trainer:A2CSettings", "needs settings, train and load"),
-        ("builtins:type", "cannot be made: TypeError"),
+        (f"{__name__}:NoSettings", "needs settings, train and load"),
+        (f"{__name__}:Unmade", "cannot be made: TypeError"),
     ],
 )
 def test_a_trainer_that_cannot_be_used_is_refused_with_one_line(kind, message):
