@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,10 +29,12 @@ from hydro_env import ConfigurationError
 from hydro_env.mistakes import did_you_mean
 
 if TYPE_CHECKING:
-    from hydro_agents.controllers.base import Controller
     from hydro_agents.evaluation.runner import Results
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.study.settings import StudySettings
+
+    Claim = Callable[[str, Sequence[str], Sequence[str]], AbstractContextManager[ProgressDisplay]]
+    """Claims the folder of a training: its part, the files that it writes, and those from which it can resume."""
 
 
 def study(
@@ -138,37 +142,31 @@ def train(
     if agent is not None and part != "head":
         raise ConfigurationError(f"--agent: does not apply to hydro train {part}")
     with workers(jobs):
+        claim = partial(_claimed, output, resume=resume, overwrite=overwrite)
         if part == "head":
-            training = _head(study, output, seed, named_agents(agent))
+            file = _head(study, output, seed, named_agents(agent), claim)
         elif part in CONTROLLERS:
-            training = _gains(_of_gains(study, part, steps), part, output, seed)
+            file = _gains(_of_gains(study, part, steps), part, output, seed, claim)
         else:
-            training = _controller(*_named(study, what, steps), output, seed)
-        training.run(output, resume, overwrite)
-    say(f"written: {output / training.file}")
+            file = _controller(*_named(study, what, steps), output, seed, claim)
+    say(f"written: {output / file}")
 
 
-class Training(NamedTuple):
-    """What a training does in its folder."""
+@contextmanager
+def _claimed(
+    folder: Path, part: str, files: Sequence[str], kept: Sequence[str], resume: bool, overwrite: bool
+) -> Iterator[ProgressDisplay]:
+    """The folder of a training for its files; without one of those ``kept`` none can be resumed."""
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.jobs import JOBS_FOLDER
 
-    part: str
-    file: str  # its result
-    files: Sequence[str]  # that it writes
-    kept: Sequence[str]  # without one of these none can be resumed
-    work: Callable[[ProgressDisplay], object]
-
-    def run(self, folder: Path, resume: bool, overwrite: bool) -> None:
-        """Claim the folder, and train."""
-        from hydro_agents.running.console import ProgressDisplay
-        from hydro_agents.running.folders import output_folder
-        from hydro_agents.running.jobs import JOBS_FOLDER
-
-        if resume and not any(file for pattern in self.kept for file in folder.glob(pattern)):
-            raise ConfigurationError(f"{folder}: nothing to resume; leave --resume out")
-        claimed = output_folder(folder, f"train {self.part}", self.files, resume=resume, overwrite=overwrite)
-        with claimed, ProgressDisplay() as display:
-            self.work(display)
-            shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
+    if resume and not any(file for pattern in kept for file in folder.glob(pattern)):
+        raise ConfigurationError(f"{folder}: nothing to resume; leave --resume out")
+    claimed = output_folder(folder, f"train {part}", files, resume=resume, overwrite=overwrite)
+    with claimed, ProgressDisplay() as display:
+        yield display
+        shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
 
 
 def _named(study: StudySettings, what: str, steps: int | None) -> tuple[StudySettings, str]:
@@ -208,7 +206,7 @@ def _of_gains(study: StudySettings, kind: str, steps: int | None) -> StudySettin
     return validate(Study, {"task": study.task, "controllers": {kind: entry}}, "train")
 
 
-def _controller(study: StudySettings, name: str, folder: Path, seed: int) -> Training:
+def _controller(study: StudySettings, name: str, folder: Path, seed: int, claim: Claim) -> str:
     """Train a controller; gains of the rig for the one that it corrects are tuned first."""
     from hydro_agents.controllers.registry import GAINS_FILE
     from hydro_agents.running.jobs import RESULT_FILES
@@ -217,43 +215,34 @@ def _controller(study: StudySettings, name: str, folder: Path, seed: int) -> Tra
     entry = study.controllers[name]
     if entry.corrects in study.trained:
         raise ConfigurationError(f"{name} corrects {entry.corrects}, which must be trained first; run hydro study")
-    files: tuple[str, ...] = TRAINING_FILES
-    base: Controller | None = None
-    tuned = ""
-    if entry.corrects is not None:
-        base = study.make(entry.corrects)
-        one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis
-        if one_rig and entry.corrects in study.tuned:
-            files, tuned = (*TRAINING_FILES, GAINS_FILE, RESULT_FILES), entry.corrects
-
-    def work(display: ProgressDisplay) -> None:
-        own = tune_controller(study, tuned, folder / GAINS_FILE, folder, seed, display) if tuned else base
-        train_controller(study, name, folder, seed, own, display)
-
-    return Training(name, f"{WEIGHTS}.safetensors", files, (CHECKPOINTS, RESULT_FILES), work)
+    base = None if entry.corrects is None else study.make(entry.corrects)
+    one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis
+    tuned = one_rig and entry.corrects in study.tuned
+    files = (*TRAINING_FILES, GAINS_FILE, RESULT_FILES) if tuned else TRAINING_FILES
+    with claim(name, files, (CHECKPOINTS, RESULT_FILES)) as display:
+        if entry.corrects is not None and tuned:
+            base = tune_controller(study, entry.corrects, folder / GAINS_FILE, folder, seed, display)
+        train_controller(study, name, folder, seed, base, display)
+    return f"{WEIGHTS}.safetensors"
 
 
-def _head(study: StudySettings, folder: Path, seed: int, agents: dict[str, str]) -> Training:
+def _head(study: StudySettings, folder: Path, seed: int, agents: dict[str, str], claim: Claim) -> str:
     from hydro_agents.running.jobs import RESULT_FILES
     from hydro_agents.study.training import HEAD_WEIGHTS, train_leakage_head
 
     study.leakage_head.check(study.task)
     named = study.with_weights(agents) if study.leakage_head.law is None else {}
     tell_rigs(study, named)
-
-    def work(display: ProgressDisplay) -> None:
+    with claim("head", [f"{HEAD_WEIGHTS}.*", RESULT_FILES], [RESULT_FILES]) as display:
         train_leakage_head(study, folder, seed, list(named.values()), display)
+    return f"{HEAD_WEIGHTS}.safetensors"
 
-    return Training("head", f"{HEAD_WEIGHTS}.safetensors", [f"{HEAD_WEIGHTS}.*", RESULT_FILES], [RESULT_FILES], work)
 
-
-def _gains(study: StudySettings, kind: str, folder: Path, seed: int) -> Training:
+def _gains(study: StudySettings, kind: str, folder: Path, seed: int, claim: Claim) -> str:
     from hydro_agents.running.jobs import RESULT_FILES
     from hydro_agents.study.training import tune_controller
 
     file = f"{kind}.yaml"
-
-    def work(display: ProgressDisplay) -> None:
+    with claim(kind, [file, RESULT_FILES], [RESULT_FILES]) as display:
         tune_controller(study, kind, folder / file, folder, seed, display)
-
-    return Training(kind, file, [file, RESULT_FILES], [RESULT_FILES], work)
+    return file

@@ -42,7 +42,6 @@ class Results:
     status: pd.DataFrame  # participant (with training seed), condition, status, message
     reused: int = 0  # jobs with results from an earlier run
     facts: Sequence[tuple[str, str]] = ()  # more rows of the table ``protocol``: key and value
-    further: dict[str, pd.DataFrame] = field(default_factory=dict)  # tables that do not follow from the rows
     _made: dict[str, pd.DataFrame] = field(default_factory=dict)
 
     def part(self, name: str) -> pd.DataFrame:
@@ -69,7 +68,7 @@ class Results:
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Every table of this kind of protocol by the name of its CSV file; without those that are empty."""
-        made = {name: self.table(name) for name in tables_of(self.protocol.kind)} | self.further
+        made = {name: self.table(name) for name in tables_of(self.protocol.kind)}
         return {name: table for name, table in made.items() if not table.empty}
 
     def write(self, folder: Path) -> None:

@@ -1,6 +1,6 @@
 """The page of every protocol of controllers (study, evaluation, robustness): errors and costs, relative to the first.
 
-A part whose table is missing is left out: single runs and training stand on the page of a study, the map of
+A part whose table is missing is left out: single runs stand on the page of a study, the map of
 conditions on that of a protocol with several.
 """
 
@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from hydro_agents.evaluation.comparison import ALL
 from hydro_agents.evaluation.metrics import ERROR, FRAMES_TEXT, METRICS
 from hydro_agents.report.kit import (
-    GREY,
     INK,
     Page,
     draw,
@@ -32,7 +31,7 @@ from hydro_agents.report.kit import (
 )
 from hydro_agents.running.cases import Rollout
 from hydro_agents.running.limit_cycles import JUDGED, LEAST_CYCLES, comes_to_rest
-from hydro_agents.running.seeds import SEED_MARK, TEST_SEEDS
+from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_agents.running.statistics import RESAMPLES
 from hydro_agents.running.text import capitalised, family_name, number, setting
 
@@ -98,8 +97,6 @@ def controllers_page(
     by_leak(page, tables)
     by_kind(page, tables)
     single_runs(page, examples)
-    if "training_curve" in tables:
-        training(page, tables["training_curve"], names)
     method(page, tables)
     run_facts(page, tables, configuration)
     return page
@@ -295,32 +292,7 @@ def example_axes(example: Example) -> list[Axes]:
     return axes
 
 
-# Training and method --------------------------------------------------------------------------------------------------
-
-
-def learning_of(curve: pd.DataFrame) -> pd.DataFrame:
-    """Error on validation plants while policies learn, relative to the first controller: median and range of the seeds.
-
-    Trainings of one controller on several seeds are named NAME#0, NAME#1, …
-    """
-    ratio = (curve["validation/mean_error_mm"] / curve["first_mean_error_mm"]).rename("ratio")
-    names, steps = curve["controller"].str.partition(SEED_MARK)[0].rename("controller"), curve["steps"] / 1e3
-    return (
-        ratio.groupby([names, steps], sort=False).agg(ratio="median", ratio_low="min", ratio_high="max").reset_index()
-    )
-
-
-def training(page: Page, curve: pd.DataFrame, names: Sequence[str]) -> None:
-    """Error while learning; a correction is compared with the controller that it corrects as well."""
-    axes = panel(xlabel="training, thousand steps", ylabel=f"error ÷ error of {names[0]}")
-    draw(axes, learning_of(curve), "steps", "ratio", names)
-    axes.axhline(1.0, color=INK, linewidth=1.0, label=names[0])
-    base = curve.get("validation/base_mean_error_mm", pd.Series(dtype=np.float64)) / curve["first_mean_error_mm"]
-    for corrected in base.dropna().unique():
-        axes.axhline(corrected, color=GREY, linestyle=":", label="corrected controller")
-    page.heading("Training")
-    note = "On validation plants. Line: median of the training seeds; bars: from the lowest to the highest."
-    page.figure(axes, f"Error while learning, over that of {names[0]}", note)
+# Method --------------------------------------------------------------------------------------------------------------
 
 
 def method(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:

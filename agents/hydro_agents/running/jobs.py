@@ -39,10 +39,8 @@ from hydro_env.files import write_whole
 
 JOBS_FOLDER = "jobs"
 RESULT_FILES = f"{JOBS_FOLDER}/*.npz"
-_AGENTS = tuple(f"hydro_agents/{room}" for room in ("controllers", "running", "learning", "detection", "evaluation"))
-_RIG = ("estimation", "recordings", "export", "identification", "diagnosis", "watching")
-ROOMS = (*_AGENTS, *(f"hydro_rig/{room}" for room in _RIG))
-"""Rooms whose code may change the result of a job; each uses only those before it."""
+ROOMS = tuple(f"hydro_agents/{room}" for room in ("controllers", "running", "learning", "detection", "evaluation"))
+"""Rooms whose code may change the result of a job, besides those of the package of the rig."""
 
 _KILLED = ("TerminatedWorkerError", "BrokenProcessPool")  # the errors of loky, by name
 
@@ -103,14 +101,10 @@ class Job:
 
     @property
     def code(self) -> str:
-        """Digest of the code that may change the result: rooms up to the highest one of the work and the participant.
-
-        Work of another place may use every room of the agents.
-        """
-        highest = _room(self.work, len(_AGENTS) - 1)
-        for maker in (self.participant, *type(self.participant).__mro__):
-            highest = max(highest, _room(maker, 0))
-        return digest_of_code(*ROOMS[: highest + 1])
+        """Digest of the code that may change the result; of the package of the rig, if work or participant are its."""
+        makers = (self.work, self.participant, *type(self.participant).__mro__)
+        of_the_rig = any(str(getattr(maker, "__module__", "")).startswith("hydro_rig.") for maker in makers)
+        return digest_of_code(*ROOMS, *(["hydro_rig/*"] if of_the_rig else []))
 
     @cached_property
     def file(self) -> str:
@@ -127,17 +121,12 @@ class Job:
             return JobResult({}, str(error))
 
 
-def _room(maker: Any, otherwise: int) -> int:
-    room = "/".join(str(getattr(maker, "__module__", "")).split(".")[:2])
-    return ROOMS.index(room) if room in ROOMS else otherwise
-
-
 @cache
 def digest_of_code(*rooms: str) -> str:
     """Digest of the compiled plant and of some rooms, such as ``hydro_agents/running``: results depend on them."""
     digest = hashlib.sha256(str(SOURCES).encode())
     for room in rooms:
-        for file in sorted((Path(__file__).resolve().parents[2] / room).glob("*.py")):
+        for file in sorted(Path(__file__).resolve().parents[2].glob(f"{room}/*.py")):
             digest.update(file.read_bytes())
     return digest.hexdigest()
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import pandas as pd
 
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import GAINS_FILE, make_controller
@@ -23,7 +22,7 @@ from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.participants import participants
 from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.learning.loading import load_controller
-from hydro_agents.running.cases import Cases, run_cases, validation_errors
+from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import RESULT_FILES
@@ -32,7 +31,6 @@ from hydro_agents.study.settings import StudySettings
 from hydro_agents.study.training import (
     TRAINING_FILES,
     WEIGHTS,
-    read_curve,
     train_controller,
     tune_controller,
 )
@@ -83,10 +81,6 @@ def run_study(
         display: shows the progress.
         facts: more rows of the table ``protocol``: key and value.
 
-    Returns:
-        The results, with the further table ``training_curve`` (:data:`~hydro_agents.study.training.CURVE`, and the
-        error of the first controller on the same plants).
-
     Raises:
         ConfigurationError: settings contradict each other, or the folder holds results of other settings.
         KeyboardInterrupt: Ctrl-C; the finished work remains and the study can be resumed.
@@ -111,12 +105,7 @@ def run_study(
     controllers = {label: known[label] for name in study.controllers for label in labels_of(study, name, seeds)}
     protocol = study.evaluation.protocol(study.task, study.title)
     chosen = replace(participants(controllers, protocol), corrects=study.corrects)
-    results = run(protocol, chosen, folder, None, display.update, facts)
-    curve = pd.concat([read_curve(folder / "controllers" / label).assign(controller=label) for label in controllers])
-    if len(curve):
-        curve["first_mean_error_mm"] = validation_errors(study.task, next(iter(controllers.values())))[0]
-    results.further["training_curve"] = curve.reset_index(drop=True)
-    return results
+    return run(protocol, chosen, folder, None, display.update, facts)
 
 
 def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:

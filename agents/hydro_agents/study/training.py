@@ -6,12 +6,10 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import pandas as pd
-
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import gains_text, make_controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
+from hydro_agents.learning.progress import PROGRESS_FILE, Progress
 from hydro_agents.learning.stable_gain import stable_start
 from hydro_agents.learning.tuning import Search, Tuned, tune
 from hydro_agents.running.console import ProgressDisplay
@@ -117,20 +115,6 @@ def tune_controller(
     if not comes_to_rest(found):
         display.say(f"{name}, tuned: {note}")
     return made
-
-
-CURVE = ("steps", "validation/mean_error_mm", "validation/base_mean_error_mm")
-"""Columns of a learning curve: control periods, errors of the policy and of what it corrects on validation plants."""
-
-
-def read_curve(folder: Path) -> pd.DataFrame:
-    """The columns :data:`CURVE` of the log of a training, as far as it has them; empty if there is none."""
-    file = folder / PROGRESS_FILE
-    log = pd.DataFrame(read_progress(file) if file.exists() else [])
-    log = log.rename(columns={"time/total_timesteps": "steps"})
-    if "validation/mean_error_mm" not in log:
-        return pd.DataFrame()
-    return log[[name for name in CURVE if name in log]].dropna(subset=["validation/mean_error_mm"])
 
 
 def train_leakage_head(

@@ -21,7 +21,6 @@ from hydro_agents.report.controllers_page import (
 from hydro_agents.report.kit import Page, drawn
 from hydro_env import TaskConfig
 
-ERROR, BASE_ERROR = "validation/mean_error_mm", "validation/base_mean_error_mm"
 CONFIG = TaskConfig(episode_duration=0.4)
 SETTINGS = ProtocolSettings(plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), standstill_plants=1)
 
@@ -50,13 +49,8 @@ def test_the_page_shows_every_part(tables):
     moved = 0.01 * (1.0 - np.exp(-time / 0.05))
     traces = SimpleNamespace(time=time, reference=np.full((1, 80), 0.01), position=moved[None], command=moved[None])
     example = Example("the same with 4 l/min", 4.0, dict.fromkeys(("PID", ODD_NAME), traces), 0)
-    curve = pd.DataFrame({"steps": [1e5, 2e5], ERROR: [0.3, 0.2], "controller": ODD_NAME, "first_mean_error_mm": 0.5})
-    text = shown(
-        {**tables, "training_curve": curve},
-        examples=[example],
-        configuration="task:\n  control_period: 0.005 # <&>\n",
-    )
-    for part in ("Single runs", "Training", "control_period: 0.005 # <&>", ODD_NAME):
+    text = shown(tables, examples=[example], configuration="task:\n  control_period: 0.005 # <&>\n")
+    for part in ("Single runs", "control_period: 0.005 # <&>", ODD_NAME):
         assert part in text
     assert "A small run: 3 plants" in text
     assert "no test seeds" not in text

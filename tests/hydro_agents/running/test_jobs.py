@@ -89,21 +89,12 @@ def test_after_a_killed_worker_finished_results_are_not_computed_again(tmp_path,
     assert (reused, bits(found)) == (0, bits(expected))
 
 
-def test_a_job_follows_the_code_that_it_uses(monkeypatch):
-    monkeypatch.setattr(jobs, "digest_of_code", lambda *rooms: rooms)
-    for job, highest in (
-        (Job(costs_of), "hydro_agents/learning"),
-        (Job(tracked), "hydro_agents/evaluation"),
-        (Job(tracked, make_controller("pid", TaskConfig())), "hydro_agents/evaluation"),
-        (Job(root), "hydro_agents/evaluation"),  # of a user
-    ):
-        assert job.code == jobs.ROOMS[: jobs.ROOMS.index(highest) + 1], job
-
-
-def test_a_job_of_the_rig_package_follows_its_rooms(monkeypatch):
+def test_a_job_of_the_rig_package_follows_its_code_too(monkeypatch):
     estimator = pytest.importorskip("hydro_rig.estimation.estimator").EstimatorDetector({})
     monkeypatch.setattr(jobs, "digest_of_code", lambda *rooms: rooms)
-    assert Job(tracked, estimator).code[-1] == "hydro_rig/estimation"
+    for job in (Job(costs_of), Job(tracked, make_controller("pid", TaskConfig())), Job(root)):
+        assert job.code == jobs.ROOMS, job
+    assert Job(tracked, estimator).code == (*jobs.ROOMS, "hydro_rig/*")
 
 
 def test_a_number_of_jobs_that_cannot_be_is_told_in_one_line():
