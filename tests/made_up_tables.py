@@ -48,7 +48,7 @@ def protocol_tables():
     """The tables of a protocol with the baseline PID and the controllers Good and Fair."""
     cycles = [("PID", "leak_0.01", 1.0), ("PID", "leak_0.01", 0.0), ("Good", "leak_0.01", 0.0), ("PID", "leak_8", 0.0)]
     status = ("Good", "period_10ms", "not applicable", "no controller of this name is tuned for 10 ms")
-    facts = {"protocol": "robustness", "sha256": "41b35ac0", "baseline": "PID", "command": "hydro evaluate <x>"}
+    facts = {"protocol": "robustness", "sha256": "41b35ac0", "command": "hydro evaluate <x>"}
     return {
         "summary": summary(),
         "comparison": comparison(),

@@ -17,6 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar, cast
 
+import pandas as pd
 from pydantic import Field, StringConstraints
 
 from hydro_agents.running.cases import ControllerError
@@ -120,6 +121,9 @@ class Protocol(Group, Generic[AnyCondition]):
     """What every protocol has; ``configs/protocols`` holds some."""
 
     who: ClassVar[str] = "controller"  # what takes part; the name of its column in the tables
+    unchanged: ClassVar[frozenset[str]] = frozenset({"group", "label", "description", "controllers"})
+    """Fields of a condition that change nothing of the axes."""
+
     kind: str
     title: str
     task: TaskConfig = Field(default_factory=TaskConfig)
@@ -194,6 +198,20 @@ class Protocol(Group, Generic[AnyCondition]):
             ConfigurationError: the changed task is impossible.
         """
         return self.conditions[name].task_on(self.task, f"conditions.{name}")
+
+    def known_of(self, name: str) -> dict[str, Any]:
+        """Further columns of a condition in :meth:`table`; each kind has its own."""
+        raise NotImplementedError
+
+    def table(self) -> pd.DataFrame:
+        """One row per condition: group, label, changes (JSON), and what its kind tells."""
+        rows = []
+        for name, condition in self.conditions.items():
+            changes = condition.model_dump(mode="json", exclude_defaults=True, exclude=set(self.unchanged))
+            row = {"condition": name, "group": condition.group, "label": condition.label or name}
+            row["changes"] = json.dumps(changes, ensure_ascii=False)
+            rows.append(row | self.known_of(name))
+        return pd.DataFrame(rows)
 
     @cached_property
     def sha256(self) -> str:

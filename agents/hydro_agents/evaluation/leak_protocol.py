@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
@@ -69,6 +67,9 @@ class LeakProtocol(Protocol[LeakCondition]):
     """A leakage protocol; ``configs/protocols/leakage.yaml`` is the one of the project."""
 
     who: ClassVar[str] = "detector"
+    unchanged: ClassVar[frozenset[str]] = (
+        frozenset(LeakCondition.model_fields) - set(Surroundings.model_fields) - {"faults"}
+    )
     kind: Literal["leakage"] = "leakage"
     title: str = "Leak detection"
     levels: tuple[Level, ...] = Field((HEALTHY, 0.3, 1.0), min_length=1)
@@ -131,23 +132,11 @@ class LeakProtocol(Protocol[LeakCondition]):
         faults = {fault: np.full(count, size) for fault, size in condition.faults.items()}
         return Cases(seeds, flow, None, condition.parameters_on(task) or None, faults or None)
 
-    def table(self) -> pd.DataFrame:
-        """One row per condition: group, label, controller of the axes, changes (JSON)."""
-        own = set(LeakCondition.model_fields) - set(Surroundings.model_fields) - {"faults"}
-        rows = []
-        for name, condition in self.conditions.items():
-            changes = condition.model_dump(mode="json", exclude_defaults=True, exclude=own)
-            rows.append(
-                {
-                    "condition": name,
-                    **condition.model_dump(include={"group", "label", "acting", "motion", "begins"}),
-                    "duration_s": condition.duration,
-                    "trained": ACTING[condition.acting].trained,
-                    "changes": json.dumps(changes, ensure_ascii=False) if changes else "",
-                }
-            )
-        table = pd.DataFrame(rows)
-        return table.assign(label=table["label"].where(table["label"] != "", table["condition"]))
+    def known_of(self, name: str) -> dict[str, Any]:
+        """See :meth:`~hydro_agents.evaluation.conditions.Protocol.known_of`."""
+        condition = self.conditions[name]
+        known = condition.model_dump(include={"acting", "motion", "begins"})
+        return known | {"duration_s": condition.duration, "trained": ACTING[condition.acting].trained}
 
 
 READ = ("score", "probability", "flow_lpm", "low_lpm", "high_lpm")

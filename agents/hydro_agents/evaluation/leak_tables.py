@@ -25,14 +25,6 @@ FAR = 6.0  # error of an unflagged estimate that counts as a local minimum, in s
 SECONDS_PER_HOUR = 3600.0
 
 
-@table("protocol")
-def facts(results: Results) -> pd.DataFrame:
-    """Keys and values: what ran, when, and where."""
-    protocol, count = results.protocol, str(len(results.table("windows")))
-    own = [("title", protocol.title), ("sha256", protocol.sha256), ("windows", count)]
-    return pd.DataFrame([*own, *results.facts], columns=["key", "value"])
-
-
 @table("thresholds", of="windows")
 def thresholds(results: Results) -> pd.DataFrame:
     """For each detector: the threshold at 1 % false alarms on healthy validation windows, and the threshold in use."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
@@ -191,21 +190,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
             self.parameters_in(name),
         )
 
-    def table(self) -> pd.DataFrame:
-        """One row per condition: group, label, description, changes (JSON), control period, number of cases."""
-        unchanged = {"group", "label", "description", "controllers"}
-        rows = []
-        for name, condition in self.conditions.items():
-            changes = condition.model_dump(mode="json", exclude_defaults=True, exclude=unchanged)
-            rows.append(
-                {
-                    "condition": name,
-                    "group": condition.group,
-                    "label": condition.label or name,
-                    "description": condition.description,
-                    "changes": json.dumps(changes),
-                    "control_period_s": self.task_in(name).control_period,
-                    "cases": len(self.cases_in(name)),
-                }
-            )
-        return pd.DataFrame(rows)
+    def known_of(self, name: str) -> dict[str, Any]:
+        """See :meth:`~hydro_agents.evaluation.conditions.Protocol.known_of`."""
+        known = {"description": self.conditions[name].description}
+        return known | {"control_period_s": self.task_in(name).control_period, "cases": len(self.cases_in(name))}

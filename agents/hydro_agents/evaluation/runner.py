@@ -111,6 +111,14 @@ def table(name: str, of: str = "") -> Callable[[TableFunction], TableFunction]:
     return register
 
 
+@table("protocol")
+def facts(results: Results) -> pd.DataFrame:
+    """Keys and values: what ran, when, and where."""
+    protocol = results.protocol
+    own = [("protocol", protocol.title), ("sha256", protocol.sha256), ("conditions", str(len(protocol.conditions)))]
+    return pd.DataFrame([*own, *results.facts], columns=["key", "value"])
+
+
 @table("conditions")
 def conditions(results: Results) -> pd.DataFrame:
     """One row per condition: its changes of the task, and how it is shown."""

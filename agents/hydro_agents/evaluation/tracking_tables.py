@@ -17,20 +17,6 @@ from hydro_agents.running.statistics import interval, ratio_interval
 LEAK_GROUP = "leak"
 
 
-@table("protocol")
-def facts(results: Results) -> pd.DataFrame:
-    """Keys and values: what ran, when, and where."""
-    protocol, seeds = results.protocol, results.part("tracking")["seed"]
-    own = [
-        ("protocol", protocol.title),
-        ("sha256", protocol.sha256),
-        ("baseline", results.grid.controllers[0]),
-        ("conditions", str(len(protocol.conditions))),
-        ("seeds", f"{seeds.min()} to {seeds.max()}"),
-    ]
-    return pd.DataFrame([*own, *results.facts], columns=["key", "value"])
-
-
 def parts_of(results: Results) -> Iterator[tuple[str, str, Mask, Mask]]:
     """Group, value, plants and situations of each row; families are over the conditions of the group ``leak``, if any.
 

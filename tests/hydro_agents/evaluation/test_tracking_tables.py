@@ -161,7 +161,7 @@ def test_all_tables_of_a_run_are_written(tmp_path):
     results.write(tmp_path)
     assert_published("robustness", tmp_path)
     facts = pd.read_csv(tmp_path / "protocol.csv").set_index("key")["value"]
-    assert (facts["sha256"], facts["baseline"], facts["date"]) == (protocol.sha256, "P", "today")
+    assert (facts["sha256"], facts["date"]) == (protocol.sha256, "today")
     changes = pd.read_csv(tmp_path / "conditions.csv")["changes"].tolist()
     assert changes == ["{}", '{"task": {"command_latency": 0.004}}']
     assert results.table("worst_cases").groupby("controller").size().to_dict() == {"P": 2, "Q": 2}
