@@ -192,7 +192,7 @@ def check_rig(
 
     The figures are areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional
     gain of the sampled position loop with a tight and a leaking seal and on the worst plant within the rig's ranges,
-    gain and phase margin, and the fastest rate of the axis.
+    and gain and phase margin.
     """
     from hydro_agents.rigs.check_table import check_to_console
 

@@ -1,4 +1,4 @@
-"""The tables of a protocol of controllers: summary, comparison, ranking, worst cases, growth, rest."""
+"""The tables of a protocol of controllers: summary, comparison, ranking, worst cases, rest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
 from hydro_agents.evaluation.runner import FAILED, Results, table
 from hydro_agents.running.limit_cycles import counted
 from hydro_agents.running.seeds import SEED_MARK
-from hydro_agents.running.statistics import interval, ratio_interval
+from hydro_agents.running.statistics import interval
 
 LEAK_GROUP = "leak"
 
@@ -148,24 +148,6 @@ def worst_cases(results: Results) -> pd.DataFrame:
         order = order.drop_duplicates(["training_seed", "leakage_flow_lpm", "seed", ERROR]).head(count)
         frames.append(order.assign(rank=np.arange(1, len(order) + 1))[shown])
     return pd.concat(frames, ignore_index=True)
-
-
-@table("growth")
-def growth(results: Results) -> pd.DataFrame:
-    """Mean error of every controller at the largest leak over that at the smallest, on the same plants.
-
-    Over all families, and of each; empty with one leak or with several conditions.
-    """
-    cases, rows = results.part("tracking"), []
-    if cases["leakage_flow_lpm"].nunique() < 2 or cases["condition"].nunique() > 1:
-        return pd.DataFrame()
-    for name, own in cases.groupby("controller", sort=False):
-        for family in (ALL, *own["family"].unique()):
-            chosen = own if family == ALL else own[own["family"] == family]
-            errors = chosen.pivot_table(ERROR, "plant", "leakage_flow_lpm").to_numpy()
-            ratio = ratio_interval(errors[:, -1], errors[:, 0])
-            rows.append({"controller": name, "family": family, **ratio.named("ratio")})
-    return pd.DataFrame(rows)
 
 
 @table("limit_cycle_summary", of="standstill")

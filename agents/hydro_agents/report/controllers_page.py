@@ -247,11 +247,6 @@ def by_leak(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
         leak_axis(axes, rows["value"])
         axes.set_ylim(bottom=0.0)
         page.figure(axes, f"{metric.word} by leak")
-    if "growth" in tables:
-        rows = tables["growth"]
-        rows = rows.assign(family=rows["family"].map(family_name), text=with_interval(rows, "ratio"))
-        growth = rows.pivot(index="controller", columns="family", values="text").loc[names]
-        page.table(growth, "Mean error at the largest leak ÷ that at the smallest, on the same plants")
 
 
 def by_kind(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:

@@ -32,7 +32,7 @@ from hydro_env.plant.analysis import (
     speed_limits,
 )
 from hydro_env.plant.arrays import equilibrium, plant_coefficients
-from hydro_env.plant.linearisation import fastest_motion, linearise
+from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.randomisation import default_randomisation
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
@@ -91,9 +91,6 @@ def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig
         *_oscillation(parameters, place),
         *loop,
         *_resonances(task, place, [row.value for row in loop if row.key == "recommended gain"]),
-        RigFigure(
-            "integration", "fastest rate |λ|, at rest", _position(place), _figure(_fastest, parameters, place), "1/s"
-        ),
     ]
 
 
@@ -164,11 +161,10 @@ def _speeds(parameters: PlantParameters) -> list[RigFigure]:
         ("out", free.extending, slow_out, c.area_a),
         ("in", free.retracting, slow_in, c.area_b),
     ):
-        flow, fed = speed * area / LITRE_PER_MINUTE, min(speed, supply.pump_flow / area) / MILLIMETRE
+        fed = min(speed, supply.pump_flow / area) / MILLIMETRE
         rows += [
             RigFigure("speed", f"no-load speed {way}", "fully open", speed / MILLIMETRE, "mm/s", f"speed {way}"),
             RigFigure("speed", f"speed {way}", "2/3 of force limit", slow / MILLIMETRE, "mm/s", f"loaded {way}"),
-            RigFigure("speed", f"flow from the supply {way}", "no-load speed", flow, "l/min"),
         ]
         lasting.append(
             RigFigure("speed", f"lasting speed {way}", "fed by the pump alone", fed, "mm/s", f"lasting {way}")
@@ -201,7 +197,6 @@ def _oscillation(parameters: PlantParameters, place: float) -> list[RigFigure]:
         rows.append(RigFigure(group, "natural frequency, ports shut", _position(position), frequency, "Hz"))
     lowest, at = closed_port_natural_frequency(parameters, softest), _position(softest)
     rows.append(RigFigure(group, "lowest natural frequency", at, lowest / (2 * math.pi), "Hz", "lowest frequency"))
-    rows.append(RigFigure(group, "the same", at, lowest, "rad/s"))
     for position in dict.fromkeys((0.0, softest)):
         stiffness = closed_port_stiffness(parameters, position) * MILLIMETRE / 1e3
         rows.append(RigFigure(group, "stiffness, ports shut", _position(position), stiffness, "kN/mm"))
@@ -219,12 +214,7 @@ def _loop(task: TaskConfig, place: float) -> list[RigFigure]:
     plants = {
         f"{_position(place)}, {leak_text(leak)}": beyond_dead_band(leaking(task.plant, leak)) for leak in EXAMINED_LEAKS
     }
-    rows = []
-    for here, plant in plants.items():
-        rows.append(
-            RigFigure(group, "gain 2 ζ ω / speed (no sampling)", here, _figure(_rule_of_thumb, plant, place), "1/m")
-        )
-    healthy = None
+    rows, healthy = [], None
     for leak, (here, plant) in zip(EXAMINED_LEAKS, plants.items(), strict=True):
         rows.append(RigFigure(group, timed, here, _figure(_largest_gain, plant, place, task), "1/m"))
         over_reach, key = weakest(nominal_loops(task, leak)), ""
@@ -304,18 +294,8 @@ def _figure(compute: Callable[..., float], *arguments: Any) -> float | str:
     return value if math.isfinite(value) else "unlimited"
 
 
-def _mode(parameters: PlantParameters, place: float) -> Any:
-    return linearise(parameters.replace(friction={"model": "none"}), position=place).hydraulic_mode
-
-
 def _damping(parameters: PlantParameters, place: float) -> float:
-    return float(_mode(parameters, place).damping_ratio)
-
-
-def _rule_of_thumb(parameters: PlantParameters, place: float) -> float:
-    """2 ζ ω divided by the mean no-load speed: continuous loop, ideal valve, symmetric cylinder (Merritt 1967)."""
-    mode = _mode(parameters, place)
-    return float(4.0 * mode.damping_ratio * mode.natural_frequency / sum(speed_limits(parameters)))
+    return linearise(parameters.replace(friction={"model": "none"}), position=place).hydraulic_mode.damping_ratio
 
 
 def _largest_gain(parameters: PlantParameters, place: float, task: TaskConfig) -> float:
@@ -324,11 +304,6 @@ def _largest_gain(parameters: PlantParameters, place: float, task: TaskConfig) -
 
 def _static_stiffness(parameters: PlantParameters, place: float, gain: float) -> float:
     return sampled_loop(parameters, place).static_stiffness(gain) * MILLIMETRE / 1e3
-
-
-def _fastest(parameters: PlantParameters, place: float) -> float:
-    state, voltage = equilibrium(parameters, place)
-    return fastest_motion(parameters, state, voltage)[0]
 
 
 def _position(position: float) -> str:

@@ -88,12 +88,3 @@ def interval(resampled: Floats, plants: int) -> Interval:
         return Interval(float(resampled[0]), np.nan, np.nan)
     low, high = np.quantile(values, [0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)])
     return Interval(float(resampled[0]), float(low), float(high))
-
-
-def ratio_interval(per_plant: Floats, others: Floats) -> Interval:
-    """Ratio of two means over the same plants (U,), with its paired interval; NaNs are left out."""
-    one, other = (np.asarray(values, dtype=np.float64) for values in (per_plant, others))
-    kept = ~(np.isnan(one) | np.isnan(other))
-    weights = plant_weights(np.zeros(kept.sum()))
-    with np.errstate(invalid="ignore"):
-        return interval((weights @ one[kept]) / (weights @ other[kept]), int(kept.sum()))

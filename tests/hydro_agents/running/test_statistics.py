@@ -10,15 +10,15 @@ from hydro_agents.running.statistics import (
     interval,
     means,
     plant_weights,
-    ratio_interval,
     seed_weights,
     share_interval,
 )
 
 
 def mean_interval(values):
-    """The interval of a mean: of the ratio to ones."""
-    return ratio_interval(values, np.ones(len(values)))
+    """The interval of the mean of one value per plant."""
+    drawn = weights(1, ["a"] * len(values), 1000)
+    return interval(means(np.array(values)[None, :, None], drawn), len(values))
 
 
 def test_an_interval_is_the_percentile_bootstrap():
@@ -29,21 +29,6 @@ def test_an_interval_is_the_percentile_bootstrap():
     spread = np.std(means)
     assert found.low == pytest.approx(np.quantile(means, 0.025), abs=0.1 * spread)
     assert found.high == pytest.approx(np.quantile(means, 0.975), abs=0.1 * spread)
-
-
-@pytest.mark.parametrize("factor", [1.0, 0.8, 3.0])
-def test_ratio_of_proportional_arrays_is_exact_because_it_is_paired(factor):
-    values = np.random.default_rng(6).lognormal(sigma=2.0, size=16)  # unpaired, the interval would be wide
-    assert ratio_interval(factor * values, values) == pytest.approx((factor, factor, factor), rel=1e-12)
-
-
-def test_ratio_is_of_the_means_and_keeps_pairs_together():
-    a, b = np.array([1.0, 2.0, np.nan, 6.0]), np.array([1.0, 1.0, 9.0, 1.0])
-    found = ratio_interval(a, b)
-    assert found.value == pytest.approx(3.0)  # the plant without a value is left out of both
-    assert found.low < found.value < found.high
-    assert ratio_interval(a[[0, 1, 3]], b[[0, 1, 3]]) == found
-    assert all(math.isnan(part) for part in ratio_interval(np.array([np.nan]), np.array([1.0])))
 
 
 def test_share_interval_is_wilsons():
