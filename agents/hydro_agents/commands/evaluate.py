@@ -80,18 +80,15 @@ def evaluate(
     from hydro_env.files import read_yaml
     from hydro_env.folders import config_file
 
-    if protocol is None:
-        if head is not None:
-            raise ConfigurationError("--head: belongs to --protocol leakage")
-        options = Options(task, rig, output or Path("results/evaluate"), resume, overwrite, None, period, latency)
-        with workers(jobs):
-            _evaluate_study(config, named_agents(agent), plants, options)
-        return
-    file = config_file("protocols", protocol)
-    options = Options(task, rig, output or Path("results") / file.stem, resume, overwrite, file, period, latency)
-    leaks = read_yaml(file).get("kind") == "leakage"
-    of_the_file: dict[str, object] = {"--plants": plants}
-    of_the_file |= {"--agent": agent, "--config": config} if leaks else {"--head": head}
+    file = None if protocol is None else config_file("protocols", protocol)
+    folder = output or Path("results") / ("evaluate" if file is None else file.stem)
+    options = Options(task, rig, folder, resume, overwrite, file, period, latency)
+    leaks = file is not None and read_yaml(file).get("kind") == "leakage"
+    if head is not None and not leaks:
+        raise ConfigurationError("--head: belongs to --protocol leakage")
+    of_the_file: dict[str, object] = {} if file is None else {"--plants": plants}
+    if leaks:
+        of_the_file |= {"--agent": agent, "--config": config}
     for option, value in of_the_file.items():
         if value is not None:
             raise ConfigurationError(f"{option}: a protocol takes it from its file")
@@ -99,25 +96,7 @@ def evaluate(
         if leaks:
             _evaluate_detectors(head, options)
         else:
-            _evaluate_controllers(named_agents(agent), config, options)
-
-
-def _evaluate_controllers(agents: dict[str, str], study_file: Path | None, options: Options) -> None:
-    """Run a protocol of the controllers of a study, and of agents, which replace them by name."""
-    from dataclasses import replace
-
-    from hydro_agents.commands.controller_pages import robustness_page
-    from hydro_agents.commands.protocols import run_protocol
-    from hydro_agents.evaluation.participants import participants
-    from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-    from hydro_agents.study.settings import StudySettings
-    from hydro_env.folders import config_file
-
-    protocol = options.read(RobustnessProtocol)
-    study = StudySettings.from_yaml(config_file("studies", study_file or OPPONENTS))
-    study = study.model_copy(update={"task": protocol.task}).with_gains_of_rig()
-    chosen = replace(participants(study.with_weights(agents), protocol), corrects=study.corrects)
-    run_protocol(protocol, chosen, options, robustness_page(), protocol)
+            _evaluate_controllers(named_agents(agent), config, plants, options)
 
 
 def _evaluate_detectors(head: Path | None, options: Options) -> None:
@@ -136,28 +115,36 @@ def _evaluate_detectors(head: Path | None, options: Options) -> None:
     run_protocol(protocol, detectors, options, LEAKAGE_PAGE, protocol)
 
 
-def _evaluate_study(config: Path | None, own: dict[str, str], plants: int | None, options: Options) -> None:
-    """Evaluate the controllers of a study and agents, which replace those of their name."""
+def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: int | None, options: Options) -> None:
+    """Run a protocol, or the evaluation of a study; agents replace controllers of the study by their names."""
     from dataclasses import replace
 
     import yaml
 
-    from hydro_agents.commands.controller_pages import study_page
+    from hydro_agents.commands.controller_pages import robustness_page, study_page
     from hydro_agents.commands.protocols import run_protocol
     from hydro_agents.evaluation.evaluate import ProtocolSettings
     from hydro_agents.evaluation.participants import participants
-    from hydro_agents.study.settings import default_study
-    from hydro_env.files import validate
+    from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+    from hydro_agents.study.settings import StudySettings, default_study
+    from hydro_env.files import Group, validate
+    from hydro_env.folders import config_file
 
-    study = default_study(config, options.task, options.rig, options.period, options.latency)
-    if plants is not None:
-        changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
-        study = study.model_copy(update={"evaluation": changed})
-    if options.rig is not None:
-        study = study.with_gains_of_rig()
-    controllers = study.with_weights(own, leave_out=True)
+    if options.file is not None:
+        protocol, page = options.read(RobustnessProtocol), robustness_page()
+        study = StudySettings.from_yaml(config_file("studies", config or OPPONENTS))
+        study = study.model_copy(update={"task": protocol.task}).with_gains_of_rig()
+        settings: Group = protocol
+    else:
+        study = default_study(config, options.task, options.rig, options.period, options.latency)
+        if plants is not None:
+            changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
+            study = study.model_copy(update={"evaluation": changed})
+        if options.rig is not None:
+            study = study.with_gains_of_rig()
+        protocol, settings = study.evaluation.protocol(study.task, study.title), study
+        page = study_page(yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False, allow_unicode=True))
+    controllers = study.with_weights(agents, leave_out=options.file is None)
     tell_rigs(study, controllers)
-    protocol = study.evaluation.protocol(study.task, study.title)
     chosen = replace(participants(controllers, protocol), corrects=study.corrects)
-    page = study_page(yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False, allow_unicode=True))
-    run_protocol(protocol, chosen, options, page, study)
+    run_protocol(protocol, chosen, options, page, settings)

@@ -198,7 +198,7 @@ def test_evaluate_joins_training_seeds_and_keeps_the_results_of_the_others(setti
     with refused("holds results already"):
         evaluate(out, file, agents)
     for options, message in (
-        ({"head": Path("none"), "protocol": "quick"}, "--head: a protocol takes it from its file"),
+        ({"head": Path("none"), "protocol": "quick"}, "--head: belongs to --protocol leakage"),
         ({"config": file, "agent": ["mine#0=pid", "mine=pid"]}, "the same training seed"),
     ):
         with refused(message):
