@@ -273,7 +273,7 @@ class StudySettings(Group):
 
 def default_study(
     path: Path | None = None,
-    task: str | Path | None = None,
+    task: TaskConfig | str | Path | None = None,
     rig: str | Path | None = None,
     period: str | None = None,
     latency: str | None = None,
@@ -285,7 +285,7 @@ def default_study(
 
     Args:
         path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
-        task: name or file of the task, instead of the study's.
+        task: name or file of the task, or the task itself, instead of the study's.
         rig: name or file of another rig for the task.
         period: its control period, with its unit.
         latency: its latency, with its unit.
