@@ -10,6 +10,7 @@ import numpy as np
 
 from hydro_agents.running.text import number
 from hydro_env import PlantParameters, TaskConfig
+from hydro_env.plant.parameters import to_vector
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats, Mask
 from hydro_rig.estimation.estimate import estimate
@@ -98,7 +99,7 @@ def simulate_held_back(
     """
     timing = {name: Prior(known[name], CERTAIN) for name in (LATENCY, RISE_TIME, *GAINS) if name in known}
     bias = np.array([known.get(name, 0.0) for name in BIASES])[:, None]
-    rig = _Rig(config.model_copy(update={"plant": plant}), bias, timing)
+    rig = _Rig(config, to_vector(plant), bias, timing)
     period, count = config.control_period, max(round(START_FROM / config.control_period), 10)
     first = _first_known(part.signals[POSITION], count)
     signals = part.signals[:, first:]
@@ -117,6 +118,7 @@ class _Rig(NamedTuple):
     """An identified rig, to be simulated."""
 
     config: TaskConfig
+    physical: Floats  # parameters of its plant
     bias: Floats  # (channels, 1), SI
     timing: Mapping[str, Prior]  # found timing and gains, where those of the task do not hold
 
@@ -149,8 +151,10 @@ class _Rig(NamedTuple):
         unbiased = np.concatenate([windows[:, : len(SENSORS)] - self.bias, windows[:, COMMAND, None]], axis=1)
         early = None if boundary is None else boundary[:, :, : count + 1]
         first = unbiased[:, :, : count + 1]
-        found = estimate(first, config, names, priors=self.timing, boundary=early)
-        model = Model(config, priors_of(config, names, self.timing), windows[:, COMMAND], boundary=boundary)
+        plants = np.tile(self.physical, (len(windows), 1))
+        found = estimate(first, config, names, priors=self.timing, physical=plants, boundary=early)
+        priors = priors_of(config, names, self.timing)
+        model = Model(config, priors, windows[:, COMMAND], physical=plants, boundary=boundary)
         readings: Floats = model.readings(found.scaled) * model.noise[:, None] + self.bias
         return readings
 
