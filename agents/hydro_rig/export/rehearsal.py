@@ -79,7 +79,8 @@ class CBlock:
         self._memory = ctypes.create_string_buffer(size())
         self._reset, self._step = getattr(library, f"{prefix}_reset"), getattr(library, f"{prefix}_step")
         self._step.restype = ctypes.c_double
-        self.values: Any = type("Block", (ctypes.Structure,), {"_fields_": fields}).from_buffer(self._memory)
+        kind: Any = type("Block", (ctypes.Structure,), {"_fields_": fields})
+        self.values = kind.from_buffer(self._memory)
 
     def reset(self) -> None:
         """A new block: off, with the usual limits and gains."""
@@ -157,10 +158,9 @@ def _play(block: CBlock, config: TaskConfig, scene: Scene) -> Take:
     moves = (ready, ready + move, ready + 2 * move)
     event = ready + round(0.5 * moving / period)
     late = config.command_latency + scene.late * period
-    task = task_config(
-        own_reference(config, np.full(moves[-1] + 2, targets[1])),
-        **{"command_latency": late, "command_latency_range": None, "randomisation": {}},
-    )
+    reference = np.full(moves[-1] + 2, targets[1])
+    changes: dict[str, Any] = {"command_latency": late, "command_latency_range": None, "randomisation": {}}
+    task = task_config(own_reference(config, reference), **changes)
     env = ServoHydraulicVectorEnv(1, task, info=False)
     options: dict[str, Any] = {"leakage_flow_lpm": scene.leak, "initial_position": targets[1], "parameters": {}}
     for path, factor in scene.factors.items():
@@ -180,14 +180,14 @@ def _play(block: CBlock, config: TaskConfig, scene: Scene) -> Take:
         position = float(env.axes.column("position")[0])
         command = block.step(inputs)
         state = int(block.values.state)
-        reference = block.values.internal_reference if state == State.CONTROLLING else math.nan
-        rows.append((now * period, position, reference, command, state))
+        followed = block.values.internal_reference if state == State.CONTROLLING else math.nan
+        rows.append((now * period, position, followed, command, state))
         env.step(np.array([[command / FULL_VOLTAGE]]))
         failure = int(env.axes.column("failure")[0])
     env.close()
-    time, place, reference, command, state = np.array(rows).T
+    time, place, path, commands, state = np.array(rows).T
     states, end = state.astype(np.int64), FAILURES[failure]
-    return Take(scene, time, place, reference, command, states, event, moves, targets, end)
+    return Take(scene, time, place, path, commands, states, event, moves, targets, end)
 
 
 def _event(event: str, now: int, begins: int, pause: int, sensors: list[str]) -> dict[str, Any]:
