@@ -48,7 +48,7 @@ FIRST_DAMPING = 1e-3  # fraction of the normal matrix's diagonal that is added t
 ENOUGH = 0.1  # decrease of the cost (χ²) below which the fit ends
 LARGEST_MOVE = 1.5  # largest change of an unknown in one iteration, in standard deviations of its prior
 
-SMALLEST_GAIN, SMALLEST_UNDERLAP, SMALLEST_COMPRESSIBILITY = 0.2, 1e-3, 0.3
+SMALLEST_GAIN, SMALLEST_UNDERLAP, SMALLEST_COMPRESSIBILITY, LARGEST_OVERLAP = 0.2, 1e-3, 0.3, 0.5
 
 CAVITATING = 1e-3  # m per period; error of the travel while a pressure may be at the end of its sensor's range
 
@@ -57,7 +57,7 @@ PARTS, TRACED = 8, 4
 supply pressure, and the biases of the pressure transducers."""
 
 COUNT = len(Unknowns._fields)
-GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
+GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK, OVERLAP = range(COUNT)
 
 _read_unknowns = tuple_reader(Unknowns)
 _read_coefficients = tuple_reader(Coefficients)
@@ -90,6 +90,27 @@ def _root_slope(pressure_drop, transition_squared):
     return (0.5 * squared + transition_squared) / (total * math.sqrt(math.sqrt(total)))
 
 
+class _Edge(NamedTuple):
+    """The opening of an edge, and its derivatives."""
+
+    opening: Any
+    shift: Any  # with respect to the spool position
+    rounding: Any  # with respect to the underlap
+    overlap: Any
+
+
+@inline
+def _edge(stroke, u, c):
+    """:class:`_Edge` whose land has moved by ``stroke`` from the null; see :mod:`hydro_env.plant.parts.valve`."""
+    factor = 1.0 / (1.0 - u.overlap)
+    beyond = (stroke - u.overlap) * factor
+    width = math.sqrt(beyond * beyond + u.underlap * u.underlap)
+    bend = c.slope_change if beyond > c.knee_position else 0.0
+    slope = c.slope * 0.5 * (beyond / width + 1.0) + bend
+    opening = c.slope * 0.5 * (width + beyond) + bend * (beyond - c.knee_position)
+    return _Edge(opening, factor * slope, c.slope * 0.5 * u.underlap / width, factor * slope * (beyond - 1.0))
+
+
 @inline
 def _without_lag(sensed, sheet, pressure):
     """Pressure before a transducer's first-order lag; the inverse of :func:`hydro_env.task.signals.lagged`."""
@@ -112,41 +133,42 @@ def _add_flows(course, a, b, spool, supply, excess_share, sheet, u, c):
     gain = c.edge_gain * u.flow_gain
     internal, external = leak_unit * u.internal_leak, leak_unit * u.external_leak
     opening = spool - u.null
-    width = math.sqrt(opening * opening + u.underlap * u.underlap)
-    forward, backward = 0.5 * (width + opening), 0.5 * (width - opening)
+    forward, backward = _edge(opening, u, c), _edge(-opening, u, c)
     t2 = c.transition_squared
     in_a, out_a = smooth_root(supply - a, t2), smooth_root(a - u.tank_pressure, t2)
     in_b, out_b = smooth_root(supply - b, t2), smooth_root(b - u.tank_pressure, t2)
-    supply_a = gain * forward * _root_slope(supply - a, t2)
-    supply_b = -gain * backward * _root_slope(supply - b, t2)
-    tank_a = gain * backward * _root_slope(a - u.tank_pressure, t2)
-    tank_b = -gain * forward * _root_slope(b - u.tank_pressure, t2)
-    unit_a, unit_b = forward * in_a - backward * out_a, forward * out_b - backward * in_b
-    lap = 0.5 * gain * u.underlap / width
-    shift_forward, shift_backward = -0.5 * gain * (opening / width + 1.0), -0.5 * gain * (opening / width - 1.0)
+    unit_a = forward.opening * in_a - backward.opening * out_a
+    unit_b = forward.opening * out_b - backward.opening * in_b
     share_a, share_b = duration / c.area_a, duration / c.area_b
     travel[0] += share_a * (gain * unit_a - internal * (a - b))
-    travel[1] += share_b * (gain * unit_b - internal * (a - b) + external * b)
+    travel[1] += share_b * (c.edge_ratio * gain * unit_b - internal * (a - b) + external * b)
     slope[0, GAIN] += share_a * c.edge_gain * unit_a
-    slope[1, GAIN] += share_b * c.edge_gain * unit_b
-    slope[0, SUPPLY] += share_a * supply_a
-    slope[1, SUPPLY] += share_b * supply_b
-    slope[0, EXCESS] += share_a * supply_a * excess_share
-    slope[1, EXCESS] += share_b * supply_b * excess_share
-    slope[0, UNDERLAP] += share_a * lap * (in_a - out_a)
-    slope[1, UNDERLAP] += share_b * lap * (out_b - in_b)
-    slope[0, NULL] += share_a * (shift_forward * in_a - shift_backward * out_a)
-    slope[1, NULL] += share_b * (shift_forward * out_b - shift_backward * in_b)
+    slope[1, GAIN] += share_b * c.edge_ratio * c.edge_gain * unit_b
+    gain_a, gain_b = share_a * gain, share_b * c.edge_ratio * gain
+    supply_a = gain_a * forward.opening * _root_slope(supply - a, t2)
+    supply_b = -gain_b * backward.opening * _root_slope(supply - b, t2)
+    tank_a = gain_a * backward.opening * _root_slope(a - u.tank_pressure, t2)
+    tank_b = -gain_b * forward.opening * _root_slope(b - u.tank_pressure, t2)
+    slope[0, SUPPLY] += supply_a
+    slope[1, SUPPLY] += supply_b
+    slope[0, EXCESS] += supply_a * excess_share
+    slope[1, EXCESS] += supply_b * excess_share
+    slope[0, UNDERLAP] += gain_a * (forward.rounding * in_a - backward.rounding * out_a)
+    slope[1, UNDERLAP] += gain_b * (forward.rounding * out_b - backward.rounding * in_b)
+    slope[0, OVERLAP] += gain_a * (forward.overlap * in_a - backward.overlap * out_a)
+    slope[1, OVERLAP] += gain_b * (forward.overlap * out_b - backward.overlap * in_b)
+    slope[0, NULL] -= gain_a * (forward.shift * in_a + backward.shift * out_a)
+    slope[1, NULL] -= gain_b * (forward.shift * out_b + backward.shift * in_b)
     slope[0, INTERNAL] -= share_a * leak_unit * (a - b)
     slope[1, INTERNAL] -= share_b * leak_unit * (a - b)
     slope[1, EXTERNAL] += share_b * leak_unit * b
-    slope[0, BIAS_A] += share_a * (supply_a + tank_a + internal)  # the pressure is the reading less the bias
+    slope[0, BIAS_A] += supply_a + tank_a + share_a * internal  # the pressure is the reading less the bias
     slope[1, BIAS_A] += share_b * internal
     slope[0, BIAS_B] -= share_a * internal
-    slope[1, BIAS_B] += share_b * (supply_b + tank_b - internal - external)
-    slope[0, TANK] += share_a * tank_a
-    slope[1, TANK] += share_b * tank_b
-    return gain * (forward * in_a + backward * in_b)
+    slope[1, BIAS_B] += supply_b + tank_b - share_b * (internal + external)
+    slope[0, TANK] += tank_a
+    slope[1, TANK] += tank_b
+    return gain * (forward.opening * in_a + c.edge_ratio * backward.opening * in_b)
 
 
 @inline
@@ -357,6 +379,7 @@ def _move(best, best_normal, best_right, damping, spread, normal, right, theta):
     theta[GAIN] = max(theta[GAIN], SMALLEST_GAIN)
     theta[UNDERLAP] = max(theta[UNDERLAP], SMALLEST_UNDERLAP)
     theta[OIL] = max(theta[OIL], SMALLEST_COMPRESSIBILITY)
+    theta[OVERLAP] = min(theta[OVERLAP], LARGEST_OVERLAP)
 
 
 @inline

@@ -181,7 +181,7 @@ def simulated(
     leaks = _leaks(generator, config, settings, count)
     fault_share = 0.0 if chunk.disturbed else settings.fault_share
     faults, fault, labels = draw_faults(config, generator, count, fault_share)
-    scale, sheet = leak_scale(config), sheet_of(config)
+    scale, sheet = leak_scale(config), sheet_of(config, settings.law is not None)
     faults[EXTERNAL_LEAK] = np.minimum(scale * faults[EXTERNAL_LEAK], fault_limits(EXTERNAL_LEAK)[1])
     labels[:, 0] = leaks > config.leakage.class_bounds[0]
     acting = _acting(controller, settings, chunk, task, int(seeds[0]))

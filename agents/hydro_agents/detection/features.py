@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.balance import COUNT, EXTERNAL, INTERNAL, PARTS, SUPPLY, TRACED, fit_balance
+from hydro_agents.detection.balance import EXTERNAL, INTERNAL, OVERLAP, PARTS, SUPPLY, TRACED, fit_balance
 from hydro_agents.detection.balance_parts import factor, substitute
 from hydro_agents.detection.damaged_signals import repaired
 from hydro_agents.detection.sheet import Sheet, Unknowns
@@ -19,6 +19,7 @@ from hydro_env.task.sensors import SENSORS
 LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
 """Labels of the head. An axis may have several at once; therefore each has its own probability."""
 
+TOLD = OVERLAP  # number of unknowns that are features; the overlap, the last, only frees the others from its effect
 LAST_PARTS = 3  # number of last parts of the window whose own leak is a feature, for the size of a growing leak
 
 
@@ -58,8 +59,8 @@ class Motion(NamedTuple):
 
 
 FEATURES = (
-    *(f"fitted {name}" for name in Unknowns._fields),
-    *(f"deviation of {name}" for name in Unknowns._fields),
+    *(f"fitted {name}" for name in Unknowns._fields[:TOLD]),
+    *(f"deviation of {name}" for name in Unknowns._fields[:TOLD]),
     "misfit of travel",
     "misfit of flows",
     *(name.replace("_", " ") for name in Motion._fields),
@@ -250,7 +251,7 @@ def load_force(x, p_a, p_b, c, pressure, period, work):
     return LoadForce(right[1], right[0], 10.0 * right[3], math.sqrt(max(squares - mean * mean, 0.0)))
 
 
-_AFTER_FIT = 2 * COUNT + 2
+_AFTER_FIT = 2 * TOLD + 2
 AFTER_MOTION = _AFTER_FIT + len(Motion._fields)  # number of the first feature after those of :class:`Motion`
 _write_motion = tuple_writer(Motion, first=_AFTER_FIT)
 _read_coefficients = tuple_reader(Coefficients)
@@ -259,11 +260,11 @@ _read_coefficients = tuple_reader(Coefficients)
 @inline
 def _write_fit(values, window, sheet, balance):
     """Write the features of the fitted unknowns and their misfit."""
-    for i in range(COUNT):
+    for i in range(TOLD):
         values[i] = math.asinh(10.0 * (balance.estimate[window, i] - sheet.mean[i]) / sheet.spread[i])
-        values[COUNT + i] = math.log10(balance.deviation[window, i] / sheet.spread[i] + 1e-6)
+        values[TOLD + i] = math.log10(balance.deviation[window, i] / sheet.spread[i] + 1e-6)
     for i in range(2):
-        values[2 * COUNT + i] = logarithm(balance.misfit[window, i], 1e-2)
+        values[2 * TOLD + i] = logarithm(balance.misfit[window, i], 1e-2)
 
 
 @inline

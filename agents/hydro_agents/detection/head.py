@@ -187,7 +187,7 @@ class LeakageHead:
         self.rows, self.columns, scale = self._measured  # a rig may lack the spool sensor
         self.scale = np.ones(len(SIGNALS))
         self.scale[self.rows] = scale
-        self.sheet = sheet_of(settings.task)
+        self.sheet = sheet_of(settings.task, self.for_any_axis)
         self.leak_scale = leak_scale(settings.task)
         self.rig = rig_features(settings.task) if self.for_any_axis else np.empty(0, np.float32)
         self.interval = max(settings.window // UPDATES_PER_WINDOW, 1)

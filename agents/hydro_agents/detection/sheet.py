@@ -27,6 +27,7 @@ AT_ONCE = 1e5  # 1/s; rate for the ideal parts of the valve model
 NOISE_WITHOUT_LAG = 1.17  # factor by which the removal of the transducers' lag raises their noise
 SPOOL_NOISE_LEFT = 0.4  # share of the spool sensor's noise that remains after smoothing
 LEAK_UNIT = LITRE_PER_MINUTE / LEAK_LAWS["laminar"].at_test  # m³/s per Pa, of 1 l/min at 100 bar
+LAP, KNOWN_LAP = 0.01, 1e-6  # standard deviations of the overlap's prior, of full stroke
 FLOW_ERROR = 0.015  # error of the flow between two samples, as a fraction of the change due to the spool's motion
 
 
@@ -46,6 +47,7 @@ class Unknowns(NamedTuple):
     bias_a: Any  # Pa, of the pressure transducer of chamber a
     bias_b: Any  # Pa
     tank_pressure: Any  # Pa
+    overlap: Any  # of full stroke; negative: all edges are open at the null
 
 
 class Sheet(NamedTuple):
@@ -92,7 +94,7 @@ RIG_FEATURES = (
 
 def rig_features(config: TaskConfig) -> NDArray[np.float32]:
     """:data:`RIG_FEATURES`, each of order 1."""
-    sheet = sheet_of(config)
+    sheet = sheet_of(config, for_any_axis=True)
     sizes = (
         1e3 * sheet.pressure_noise_a / config.plant.supply.pressure,
         leak_scale(config),
@@ -101,10 +103,14 @@ def rig_features(config: TaskConfig) -> NDArray[np.float32]:
     return np.array([*data_sheet(config).values(), *np.log10(sizes)], dtype=np.float32)
 
 
-def sheet_of(config: TaskConfig) -> Sheet:
+def sheet_of(config: TaskConfig, for_any_axis: bool = False) -> Sheet:
     """The data sheet of a task's axis, with priors that include worn axes.
 
     The width of a prior is the task's range of the parameter; it is larger if faults change the parameter.
+
+    Args:
+        config: the task.
+        for_any_axis: no nameplate tells the lap of the valve exactly; its edges may be sharp.
 
     Raises:
         ConfigurationError: a command acts later than in its own control period.
@@ -113,7 +119,7 @@ def sheet_of(config: TaskConfig) -> Sheet:
     plant, sensors = config.plant, config.sensors
     c = plant_coefficients(plant)
     numbers = settings_of(config)[0]
-    mean, spread = _priors(config)
+    mean, spread = _priors(config, LAP if for_any_axis else KNOWN_LAP)
     full_flow = c.edge_gain * math.sqrt(0.5 * mean.supply_pressure)
     travel = full_flow * config.control_period / min(c.area_a, c.area_b)
     return Sheet(
@@ -149,8 +155,8 @@ def _middle_and_half(config: TaskConfig, path: str) -> tuple[float, float]:
     return 0.5 * (low + high), 0.5 * (high - low)
 
 
-def _priors(config: TaskConfig) -> tuple[Unknowns, Unknowns]:
-    """Means and standard deviations of the priors."""
+def _priors(config: TaskConfig, lap: float) -> tuple[Unknowns, Unknowns]:
+    """Means and standard deviations of the priors; that of the lap is given."""
     plant, sensors = config.plant, config.sensors
     c = plant_coefficients(plant)
     supply, supply_range = _middle_and_half(config, "supply.pressure")
@@ -172,6 +178,7 @@ def _priors(config: TaskConfig) -> tuple[Unknowns, Unknowns]:
         bias_a=0.0,
         bias_b=0.0,
         tank_pressure=plant.supply.tank_pressure,
+        overlap=plant.valve.overlap,
     )
     spread = Unknowns(
         flow_gain=0.2,
@@ -187,6 +194,7 @@ def _priors(config: TaskConfig) -> tuple[Unknowns, Unknowns]:
         bias_a=sensors.pressure_a.bias + 1e3,
         bias_b=sensors.pressure_b.bias + 1e3,
         tank_pressure=1e5,
+        overlap=lap,
     )
     return mean, spread
 

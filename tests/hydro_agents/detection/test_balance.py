@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_agents.detection.balance import COUNT, INTERNAL, PARTS, TRACED, fit_balance
+from hydro_agents.detection.balance import COUNT, INTERNAL, OVERLAP, PARTS, TRACED, fit_balance
 from hydro_agents.detection.balance_parts import factor, hold, substitute
 from hydro_agents.detection.damaged_signals import repaired, stuck_sensors
 from hydro_agents.detection.detector import measured_run
@@ -54,6 +54,23 @@ def test_a_worn_valve_is_read_as_such_and_not_as_a_leak(signals, fault, size, un
     change = np.median(faulty.estimate[:, column] - sound.estimate[:, column])
     assert change == pytest.approx(size, abs=tolerance)
     assert np.median(np.abs(faulty.estimate[:, INTERNAL] - FLOW)) < 0.05
+
+
+@pytest.mark.parametrize(
+    "valve",
+    [
+        {"overlap": -0.0075, "underlap": 0.0},  # the sharp edges of a textbook
+        {"overlap": 0.03, "underlap": 0.002},
+        {"overlap": -0.0075, "underlap": 0.0, "edge_ratio": 0.7, "knee_position": 0.4, "knee_opening": 0.25},
+    ],
+)
+def test_leaks_are_read_behind_any_edges_and_the_lap_is_found(valve):
+    config = task_config(CONFIG, plant={"valve": valve}, randomisation={"valve.underlap": None})
+    told = valve | {"overlap": max(valve["overlap"], 0.0)}  # a nameplate does not tell a negative lap
+    sheet = sheet_of(task_config(CONFIG, plant={"valve": told}), for_any_axis=True)
+    balance = fit_balance(simulated(config), sheet)
+    assert np.median(np.abs(balance.estimate[:, INTERNAL] - FLOW)) < 0.05
+    assert np.median(balance.estimate[:, OVERLAP]) == pytest.approx(valve["overlap"], abs=0.003)
 
 
 def test_no_leak_is_negative_and_each_part_of_the_window_reads_the_same_constant_leak(signals):
