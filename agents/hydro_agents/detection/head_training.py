@@ -145,6 +145,8 @@ def fitted(
     rate, decay = settings.learning_rate, settings.weight_decay
     optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
     tensors = tensors_like(settings.width, features.shape[1]) | statistics_of(features)
+    if settings.start is not None:
+        tensors |= begun(settings.start, network, features)
     inputs = torch.from_numpy(standardised(features, tensors["mean"], tensors["scale"]))
     disturbed = (data.disturbance >= 1.0).astype(np.float32)
     labels = torch.from_numpy(np.column_stack([data.labels, disturbed]))
@@ -167,15 +169,38 @@ def fitted(
     return tensors | network_tensors(network)
 
 
+def begun(start: str, network: nn.Sequential, features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+    """The network gets the weights of a head; returns that head's standardisation, with the windows' own whitening.
+
+    Raises:
+        ConfigurationError: the head has other inputs or another width.
+    """
+    known = LeakageHead.load(start).tensors
+    linear = [layer for layer in network if isinstance(layer, nn.Linear)]
+    if known["weight_0"].shape != tuple(linear[0].weight.shape):
+        raise ConfigurationError(f"start = {start}: has other inputs or another width than the training")
+    with torch.no_grad():
+        for number, layer in enumerate(linear):
+            layer.weight.copy_(torch.from_numpy(known[f"weight_{number}"]))
+            layer.bias.copy_(torch.from_numpy(known[f"bias_{number}"]))
+    mean, scale = known["mean"], known["scale"]
+    return {"mean": mean, "scale": scale, "whitener": whitener_of(standardised(features, mean, scale))}
+
+
 def statistics_of(features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
     """The tensors that standardise and whiten the features of the training windows, (N, F)."""
     mean, deviation = features.mean(axis=0), features.std(axis=0)
     # What never varied cannot be judged: a rig's file may know a range where the law draws none.
     judged = (deviation > NEVER_VARIED) | (np.arange(len(deviation)) == INVALID)
     scale = np.where(judged, 1.0 / (deviation + 1e-3), 0.0).astype(np.float32)
-    covariance = np.cov(standardised(features, mean, scale).T) + RIDGE * np.eye(features.shape[1])
-    whitener = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
-    return {"mean": mean, "scale": scale, "whitener": whitener}
+    return {"mean": mean, "scale": scale, "whitener": whitener_of(standardised(features, mean, scale))}
+
+
+def whitener_of(inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The matrix that makes standardised features (N, F) white."""
+    covariance = np.cov(inputs.T) + RIDGE * np.eye(inputs.shape[1])
+    whitener: NDArray[np.float32] = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
+    return whitener
 
 
 def size_target(size: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -44,6 +44,9 @@ class HeadTrainingSettings(Group):
     size_weight: float = Field(4.0, ge=0.0, le=1e3, description="weight of the size's error relative to the classes")
     dropout: float = Field(0.0, ge=0.0, lt=1.0, description="share of hidden units that are left out in training")
     width: int = Field(128, ge=2, le=LARGEST_WIDTH)
+    start: str | None = Field(
+        None, description="weights of a head of the same inputs and width to begin with, a path without its ending"
+    )
 
     def check(self, config: TaskConfig) -> None:
         """Check that the training leaks and the window suit a task.
