@@ -27,7 +27,7 @@ AT_ONCE = 1e5  # 1/s; rate for the ideal parts of the valve model
 NOISE_WITHOUT_LAG = 1.17  # factor by which the removal of the transducers' lag raises their noise
 SPOOL_NOISE_LEFT = 0.4  # share of the spool sensor's noise that remains after smoothing
 LEAK_UNIT = LITRE_PER_MINUTE / LEAK_LAWS["laminar"].at_test  # m³/s per Pa, of 1 l/min at 100 bar
-LAP, KNOWN_LAP = 0.01, 1e-6  # standard deviations of the overlap's prior, of full stroke
+LAP, KNOWN_LAP = 0.005, 1e-6  # standard deviations of the overlap's prior, of full stroke
 FLOW_ERROR = 0.015  # error of the flow between two samples, as a fraction of the change due to the spool's motion
 
 

@@ -126,6 +126,16 @@ def test_round_trip(head, tmp_path):
         LeakageHead.load(tmp_path / "head")
 
 
+def test_a_training_begins_with_the_weights_of_another_head(small_head, tmp_path):
+    small_head.save(tmp_path / "head")
+    still = SMALL.model_copy(update={"start": str(tmp_path / "head"), "learning_rate": 1e-9})
+    again = trained(settings=still)
+    for name in ("mean", "scale", "weight_0", "bias_2"):
+        np.testing.assert_allclose(again.tensors[name], small_head.tensors[name], atol=1e-6)
+    with refused("other inputs or another width"):
+        trained(settings=still.model_copy(update={"width": 9}))
+
+
 def test_predict_watches_with_the_signature_of_a_controller(head):
     rows = rows_of(CONFIG.steps + head.interval)
     state, alone = None, None
