@@ -102,7 +102,10 @@ def train_head(
             if result.error:
                 raise ConfigurationError(result.error)
         windows[phase] = LabelledWindows.joined([LabelledWindows(**found[key].metrics) for key in jobs])
-    tensors = fitted(windows["data"], settings, seed, tell)
+    if settings.epochs:
+        tensors = fitted(windows["data"], settings, seed, tell)
+    else:
+        tensors = dict(LeakageHead.load(str(settings.start)).tensors)
     record = {"seed": seed, "settings": settings.model_dump(mode="json")}
     head = calibrated(tensors, config, settings.longest_window(config), windows["validation"], record)
     head.settings.training["seconds"] = round(time.monotonic() - began, 1)
@@ -114,10 +117,10 @@ def simulations(
 ) -> dict[str, dict[str, Job]]:
     """The simulations of a training's data and of its validation."""
     plans = {phase: TrainingPlan(config, controllers, settings, split) for phase, split in SPLITS.items()}
-    return {
-        "data": plans["data"].jobs(settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start),
-        "validation": plans["validation"].jobs(settings.validation_episodes, THRESHOLDS.first),
-    }
+    jobs = {"validation": plans["validation"].jobs(settings.validation_episodes, THRESHOLDS.first)}
+    if settings.epochs == 0:
+        return jobs
+    return {"data": plans["data"].jobs(settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start)} | jobs
 
 
 def loss_of(output: Tensor, labels: Tensor, size: Tensor, size_weight: float) -> Tensor:

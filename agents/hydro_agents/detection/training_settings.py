@@ -37,7 +37,7 @@ class HeadTrainingSettings(Group):
         0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar on the paper's rig; grows with the valve's flow"
     )
     highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="as well")
-    epochs: int = Field(20, ge=1, le=100_000)
+    epochs: int = Field(20, ge=0, le=100_000, description="0: a start alone gets new thresholds and intervals")
     batch: int = Field(256, ge=1, le=1_000_000)
     learning_rate: float = Field(3e-3, gt=0.0, le=1.0)
     weight_decay: float = Field(1e-3, ge=0.0, le=1.0)
@@ -66,6 +66,8 @@ class HeadTrainingSettings(Group):
             wrong = f"highest_flow: must be above the task's leakage.faulty_range[0] = {faulty:g} l/min"
         elif self.changing_share + self.orifice_share + self.disturbed_share > 1.0:
             wrong = "changing_share, orifice_share and disturbed_share: must be at most 1 together"
+        elif self.epochs == 0 and self.start is None:
+            wrong = "epochs = 0: needs a start, whose thresholds and intervals are set again"
         if wrong:
             raise ConfigurationError(f"leakage_head: {wrong}")
 

@@ -132,6 +132,9 @@ def test_a_training_begins_with_the_weights_of_another_head(small_head, tmp_path
     again = trained(settings=still)
     for name in ("mean", "scale", "weight_0", "bias_2"):
         np.testing.assert_allclose(again.tensors[name], small_head.tensors[name], atol=1e-6)
+    judged = trained(settings=still.model_copy(update={"epochs": 0, "validation_episodes": 20}))
+    np.testing.assert_array_equal(judged.tensors["whitener"], small_head.tensors["whitener"])
+    assert not np.array_equal(judged.tensors["thresholds"], small_head.tensors["thresholds"])
     with refused("other inputs or another width"):
         trained(settings=still.model_copy(update={"width": 9}))
 
