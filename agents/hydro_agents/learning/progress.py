@@ -22,6 +22,7 @@ from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputF
 from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.checkpoint import Checkpoints
 from hydro_agents.learning.features import PolicyFeatures
+from hydro_agents.learning.imitation import ACTOR
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.running.cases import family_errors, validation_errors
@@ -33,7 +34,6 @@ from hydro_env.task.drawn_rigs import rig_tasks
 PROGRESS_FILE = "progress.csv"
 STEPS = "time/total_timesteps"
 VALIDATION_RIGS, VALIDATION_PLANTS = 8, 8
-ACTOR = ("lstm_actor", "mlp_extractor.policy_net", "action_net")  # of the networks of stable-baselines3
 
 
 class Progress(NamedTuple):

@@ -51,6 +51,13 @@ class PPOSettings(Group):
     start: str | None = Field(
         None, description="weights of a policy of the same inputs and layers to begin with, a path without its ending"
     )
+    teacher: str | None = Field(
+        None, description="a shipped controller that a policy without residual imitates first, on its own states"
+    )
+    imitated_share: float = Field(0.5, gt=0.0, le=1.0, description="part of the training in which it imitates")
+    imitation_rate: float = Field(
+        1e-3, gt=0.0, le=1.0, description="learning rate of that part; decreases to a tenth along a cosine"
+    )
     critic_first: float = Field(
         0.0, ge=0.0, lt=1.0, description="part of the training in which the critic alone learns: needed by a start"
     )
@@ -87,9 +94,12 @@ class PPOSettings(Group):
 
     @model_validator(mode="after")
     def _of_a_correction(self) -> Self:
-        for name in ("family_units", "see_estimates"):
-            if getattr(self, name) and not self.residual:
-                raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
+        if self.see_estimates and not self.residual:
+            raise ValueError("see_estimates: needs residual: true, a controller that the policy corrects")
+        if self.family_units and not self.residual and self.teacher is None:
+            raise ValueError("family_units: needs residual: true or a teacher, whose errors are the units")
+        if self.teacher is not None and self.residual:
+            raise ValueError("teacher: needs residual: false, a policy that acts on its own")
         if self.law is not None:
             if not self.residual or not self.normalise:
                 raise ValueError("law: needs residual: true and normalise: true")
@@ -112,7 +122,12 @@ class PPOSettings(Group):
     def learning_rate_at(self, remaining: float) -> float:
         """Learning rate when the share ``remaining`` of the training (1 to 0) is left."""
         share = min(1.0 - remaining, 1.0)  # the last rollout may exceed the end
-        return self.learning_rate * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * share)))
+        first, begins = self.learning_rate, self.imitated_share if self.teacher else 0.0
+        if share < begins:
+            first, share = self.imitation_rate, share / begins
+        elif begins < 1.0:
+            share = (share - begins) / (1.0 - begins)
+        return first * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * share)))
 
     def log_standard_deviation_at(self, share: float) -> float:
         """Logarithm of the exploration's standard deviation when a share (0 to 1) of the training is done."""

@@ -20,6 +20,8 @@ from hydro_agents.controllers.registry import kind_of
 from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.checkpoint import Checkpoints, restore
 from hydro_agents.learning.features import PolicyFeatures, periods_per_step
+from hydro_agents.learning.imitation import ImitatingPPO, ImitatingRecurrentPPO
+from hydro_agents.learning.loading import shipped
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import Progress, TrainingCallback, training_logger
 from hydro_agents.learning.settings import PPOSettings
@@ -67,8 +69,10 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
             f"practice = {settings.practice}: must leave the control period and the names and scales of "
             "observations as they are in the task, because the policy must work there"
         )
-    if settings.family_units and features.base is not None:
-        errors = family_errors(practised, features.base, sensor_frame=settings.family_units == "sensor")
+    teacher = shipped(settings.teacher, config) if settings.teacher else None
+    leader = teacher or features.base
+    if settings.family_units and leader is not None:
+        errors = family_errors(practised, leader, sensor_frame=settings.family_units == "sensor")
         practised = in_family_units(practised, errors)
     return AxisVecEnv(
         practised,
@@ -76,9 +80,10 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
         features,
         seed,
         settings.reward_scale,
-        paired=settings.residual,
+        paired=leader is not None,
         stagger=True,
         reversal_price=settings.reversal_price,
+        teacher=teacher,
     )
 
 
@@ -129,6 +134,8 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -
     policy = "MlpPolicy"
     if settings.lstm_cells:
         algorithm, policy, network["lstm_hidden_size"] = RecurrentPPO, "MlpLstmPolicy", settings.lstm_cells
+    if settings.teacher:
+        algorithm = ImitatingRecurrentPPO if settings.lstm_cells else ImitatingPPO
     model = algorithm(
         policy,
         env,
@@ -143,6 +150,8 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -
         gae_lambda=settings.advantage_decay,
         clip_range=settings.clip_range,
     )
+    if settings.teacher:
+        model.imitated_steps = settings.imitated_share * settings.total_steps
     if isinstance(env, RigsVecEnv):
         periods = env.periods_per_step()
         model.rollout_buffer.gamma = settings.discount ** (1.0 / periods)

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from hydro_agents.controllers.base import rows
+from hydro_agents.controllers.base import Controller, rows
 from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.features import (
     FEATURE_LIMIT,
@@ -66,9 +66,9 @@ class AxisVecEnv(_SharedVecEnv):
     ``infos`` holds the entries of stable-baselines3 (``terminal_observation``, ``TimeLimit.truncated``, ``episode``)
     for axes whose episode has ended, and is empty for the others. Such an axis has already begun its next episode.
 
-    With ``paired`` each axis has a twin with the same plant, reference and noise, driven by the corrected controller
-    alone; the reward is the difference to the twin's. Errors that no controller can avoid cancel out, and the policy
-    gradient remains unbiased, because the twin does not depend on the policy's actions.
+    With ``paired`` each axis has a twin with the same plant, reference and noise, driven by the corrected controller,
+    or the teacher, alone; the reward is the difference to the twin's. Errors that no controller can avoid cancel out,
+    and the policy gradient remains unbiased, because the twin does not depend on the policy's actions.
 
     Args:
         config: the task, as for the environments.
@@ -80,6 +80,7 @@ class AxisVecEnv(_SharedVecEnv):
         stagger: advance the clock of axis i by i/N of an episode at the first reset; the axes then restart at
             different times. The references jump at that moment; later episodes are whole.
         reversal_price: additional cost, per part of 10 V of the smaller swing at each reversal of the command.
+        teacher: a controller whose commands on the axes' own states :attr:`taught` holds; paired alone.
         overrides: single fields of the task.
 
     Raises:
@@ -104,10 +105,12 @@ class AxisVecEnv(_SharedVecEnv):
         paired: bool = False,
         stagger: bool = False,
         reversal_price: float = 0.0,
+        teacher: Controller | None = None,
         **overrides: Any,
     ) -> None:
-        if paired and (features is None or features.base is None):
-            raise ConfigurationError("paired rewards need the residual form: a controller to compare with")
+        self._leader: Any = teacher or (features and features.base)
+        if paired and self._leader is None:
+            raise ConfigurationError("paired rewards need the residual form or a teacher: a controller to compare with")
         self.features, self.reward_scale, self._price = features, reward_scale, reversal_price
         self._paired, self._stagger = paired, stagger
         self._total = 2 * count if paired else count
@@ -116,6 +119,8 @@ class AxisVecEnv(_SharedVecEnv):
         self._state: FeatureState | None = None
         self._corrected: Any = None
         self._twin_commands = np.zeros((0, 1), dtype=np.float32)
+        self.lessons: list[NDArray[np.float32]] | None = None  # collects :attr:`taught` of each step, if a list
+        self.taught = np.zeros((count, 1), dtype=np.float32)  # the teacher's commands for the last inputs
         self._returns = np.zeros(count)
         self._lengths = np.zeros(count, dtype=np.int64)
         observed: spaces.Space[Any] = self.env.single_observation_space
@@ -150,10 +155,12 @@ class AxisVecEnv(_SharedVecEnv):
         if self.features is None:
             return observation
         own, answer = slice(self.num_envs), None
-        if self._paired and self.features.base is not None:  # one call for the axes and their twins
+        if self._paired:  # one call for the axes and their twins
             both = None if restarted is None else np.tile(restarted, 2)
-            commands, self._corrected = self.features.base.predict(observation, self._corrected, both)
-            self._twin_commands, answer = commands[self.num_envs :], (commands[own], rows(self._corrected, own))
+            commands, self._corrected = self._leader.predict(observation, self._corrected, both)
+            self._twin_commands, self.taught = commands[self.num_envs :], commands[own]
+            if self.features.base is not None:
+                answer = self.taught, rows(self._corrected, own)
         inputs, self._state = self.features(observation[own], self._state, restarted, answer)
         return np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
 
@@ -161,6 +168,8 @@ class AxisVecEnv(_SharedVecEnv):
         """Advance all axes by one control period."""
         count = self.num_envs
         command = self._actions
+        if self.lessons is not None:
+            self.lessons.append(self.taught)
         if self.features is not None and self._state is not None:
             command = self.features.command(command, self._state)
         if self._paired:
@@ -207,6 +216,7 @@ class AxisVecEnv(_SharedVecEnv):
             "returns": self._returns.copy(),
             "lengths": self._lengths.copy(),
             "twin_commands": self._twin_commands,
+            "taught": self.taught,
             "corrected": self._corrected,
             "features": self._state,
         }
@@ -215,7 +225,8 @@ class AxisVecEnv(_SharedVecEnv):
         """Restore a state of :meth:`get_state`, from this or another ``AxisVecEnv`` with the same arguments."""
         self.env.set_state(AxesState(self.env.config, state["env"]))
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
-        self._twin_commands, self._corrected = state["twin_commands"], state["corrected"]
+        self._twin_commands, self.taught = state["twin_commands"], state["taught"]
+        self._corrected = state["corrected"]
         self._state = state["features"]
 
     def close(self) -> None:
