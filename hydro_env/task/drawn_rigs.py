@@ -17,7 +17,7 @@ from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.law import FIRST_SEEDS, RigLaw, StructureLaw
 from hydro_env.task.nameplates import rig_of
-from hydro_env.task.paces import pace
+from hydro_env.task.paces import pace, periods_per_step
 from hydro_env.task.rig import Rig, moved
 from hydro_env.task.sensors import Sensors
 from hydro_env.units import from_unit, rounded
@@ -154,13 +154,16 @@ def drawn_rig(law: RigLaw, seed: int) -> tuple[Rig, dict[str, float]]:
 
 
 def drawn_task(config: TaskConfig, law: RigLaw, seed: int) -> TaskConfig:
-    """A task on a drawn rig, with its timing.
+    """A task on a drawn rig, with its timing; its rewards count per pace of the rig.
 
     Raises:
         ConfigurationError: none of the drawn rigs can work.
     """
     rig, timing = drawn_rig(law, seed)
     task = TaskConfig.model_validate(moved(config, rig) | timing | {"law": None, "command_latency_range": None})
+    # A control period is a larger part of a fast rig's pace than of a slow one's; a failure is paid once.
+    weights = {name: getattr(task.reward, name) / periods_per_step(task) for name in ("tracking", "effort")}
+    task = task.model_copy(update={"reward": task.reward.model_copy(update=weights)})
     if not law.preview_paces:
         return task
     own, count, times = pace(task), 0, []

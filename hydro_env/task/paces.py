@@ -12,6 +12,9 @@ from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.law import RigLaw
 
+STEPS_PER_PACE = 1.54
+"""A *step of the rig* is this part of its pace; in the default task, whose pace is 7.7 ms, it is a control period."""
+
 SLACK = 2.0
 """Factor by which drawn speeds leave their interval, because valves have steps; frequencies too."""
 
@@ -48,6 +51,11 @@ def pace(config: TaskConfig) -> float:
     from hydro_env.plant.analysis import closed_port_natural_frequency  # compiled code
 
     return max(delay(config), math.pi / closed_port_natural_frequency(config.plant))
+
+
+def periods_per_step(config: TaskConfig) -> float:
+    """Control periods in a step of the rig; 1 in the default task."""
+    return round(pace(config) / config.control_period / STEPS_PER_PACE, 9)
 
 
 def full_speed(plant: PlantParameters) -> float:

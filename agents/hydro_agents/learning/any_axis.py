@@ -15,14 +15,13 @@ from hydro_agents.learning.features import (
     HISTORY_SIGNALS,
     PREVIEW_SCALE,
     PolicyFeatures,
-    periods_per_step,
 )
 from hydro_agents.learning.rig_gains import GainsFor, chosen_gains
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_env.task.paces import full_speed, pace
+from hydro_env.task.paces import full_speed, pace, periods_per_step
 from hydro_env.task.signals import data_sheet
 
 PREVIEW_PACES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # of the reference that a policy for any axis sees

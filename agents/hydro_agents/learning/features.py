@@ -19,7 +19,7 @@ from hydro_agents.controllers.preview import Preview
 from hydro_agents.controllers.registry import kind_of
 from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.task.paces import pace
+from hydro_env.task.paces import periods_per_step
 
 MIDDLE = 0.6  # share of the samples that stay within one unit
 RARE = 0.3  # unit of an input that is constant most of the time, as a fraction of its standard deviation
@@ -37,9 +37,6 @@ HISTORY_SIGNALS = (
 )
 HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)  # ages of the samples in the history, in steps of the rig
 NEWEST = (1, 2, 3)  # control periods; on a slow rig, a training without these samples learns less
-STEPS_PER_PACE = 1.54
-"""A *step of the rig* is this part of its pace; in the default task, whose pace is 7.7 ms, it is a control period."""
-
 LASTING_TIME = 0.2  # s; time constant of the slow average of the correction. Integral action handles slower errors.
 PREVIEW_SCALE = 0.01  # m; scale of the rebuilt samples of the preview, the same as in the observation
 FEATURE_LIMIT = 50.0  # inputs of the policy are limited to ± this value
@@ -65,11 +62,6 @@ class Normalisation(NamedTuple):
         spread = values.std(axis=0)
         unit = np.where(middle > LEAST * spread, middle, RARE * spread)
         return cls(centre.astype(np.float32), np.where(unit > 1e-9, unit, 1.0).astype(np.float32))
-
-
-def periods_per_step(config: TaskConfig) -> float:
-    """Control periods in a step of the rig; 1 in the default task."""
-    return round(pace(config) / config.control_period / STEPS_PER_PACE, 9)
 
 
 def history_lags(config: TaskConfig) -> tuple[int, ...]:

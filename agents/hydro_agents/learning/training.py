@@ -19,7 +19,7 @@ from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
 from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.checkpoint import Checkpoints, restore
-from hydro_agents.learning.features import PolicyFeatures, periods_per_step
+from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.imitation import ImitatingPPO, ImitatingRecurrentPPO
 from hydro_agents.learning.loading import shipped
 from hydro_agents.learning.policy import PolicyController
@@ -31,6 +31,7 @@ from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
+from hydro_env.task.paces import periods_per_step
 
 
 def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | None) -> PolicyFeatures:
@@ -92,14 +93,14 @@ def make_axes(
 ) -> AxisVecEnv | RigsVecEnv:
     """The axes of a training, of :func:`make_env`; of every rig of the settings' law, if there is one.
 
-    Rewards count per step of the rig, so that fast and slow rigs weigh the same.
+    The price of a reversal counts per step of the rig, as all rewards of drawn rigs do.
     """
     if settings.law is None or not isinstance(features, AnyAxisFeatures):
         return make_env(config, settings, features, seed)
     envs, axes = [], settings.axes // settings.law.count
     for number, task in enumerate(rig_tasks(task_config(config, law=settings.law.model_dump()))):
-        scale = settings.reward_scale / periods_per_step(task)
-        own = settings.model_copy(update={"axes": axes, "reward_scale": scale})
+        price = settings.reversal_price / periods_per_step(task)
+        own = settings.model_copy(update={"axes": axes, "reversal_price": price})
         envs.append(make_env(task, own, features.moved_to(task), seed + number * axes))
     return RigsVecEnv(envs, features)
 

@@ -14,14 +14,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices,
 
 from hydro_agents.controllers.base import Controller, rows
 from hydro_agents.learning.any_axis import AnyAxisFeatures
-from hydro_agents.learning.features import (
-    FEATURE_LIMIT,
-    FeatureState,
-    PolicyFeatures,
-    periods_per_step,
-)
+from hydro_agents.learning.features import FEATURE_LIMIT, FeatureState, PolicyFeatures
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import AxesState
+from hydro_env.task.paces import periods_per_step
 
 Array = NDArray[Any]
 

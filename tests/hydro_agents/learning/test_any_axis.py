@@ -208,7 +208,8 @@ def test_each_rig_has_its_axes_rewards_and_discount():
     assert isinstance(env, RigsVecEnv)
     periods = env.periods_per_step()
     assert len(np.unique(periods)) == 3
-    np.testing.assert_allclose([part.reward_scale for part in env.envs], 0.2 / periods[::4])
+    weights = [part.env.config.reward.tracking for part in env.envs]
+    np.testing.assert_allclose(weights, TASK.reward.tracking / periods[::4])
     model = make_model(env, SETTINGS, 0)
     np.testing.assert_allclose(model.rollout_buffer.gamma**periods, SETTINGS.discount)
     inputs = env.reset()

@@ -143,3 +143,14 @@ def test_an_axis_of_a_law_with_one_rig_ends_by_the_steps_of_this_rig():
         env.reset(seed=0, options={"reference": "point_to_point"})
         ended = [env.step([[0.0]])[3][0] for _ in range(steps)]
         assert (env.rigs[0].steps, np.flatnonzero(ended).tolist()) == (steps, [steps - 1])
+
+
+def test_the_rewards_of_a_pace_weigh_the_same_on_every_rig():
+    for task in rig_tasks(task_config(law={"count": 4})):
+        env = ServoHydraulicVectorEnv(3, task)
+        env.reset(seed=0)
+        *_, info = env.step(np.zeros((3, 1), np.float32))
+        error = np.abs(env.axes.column("reference") - env.axes.column("position")) / task.reward.error_scale
+        paces = task.control_period / pace(task) * 1.54  # 1 in the default task
+        np.testing.assert_allclose(info["reward_terms"]["tracking"], -paces * np.minimum(error, 5.0), rtol=1e-9)
+        assert task.reward.failure == TaskConfig().reward.failure
