@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,7 +15,6 @@ from hydro_agents.commands.options import (
     Overwrite,
     Period,
     Resume,
-    Rig,
     Task,
     named_agents,
     tell_rigs,
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from hydro_agents.commands.protocols import Options
 
 OPPONENTS = "opponents"  # the study whose controllers run a protocol by default
+DRAWN, TEST_RIGS = Path("results/drawn"), 100
 
 
 def evaluate(
@@ -36,7 +36,12 @@ def evaluate(
     config: Config = None,
     agent: Agents = None,
     task: Task = None,
-    rig: Rig = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig", metavar="NAME|FILE", help="A rig: a name in `configs/rigs` or a YAML file; or drawn, or a law."
+        ),
+    ] = None,
     period: Period = None,
     latency: Latency = None,
     head: Annotated[
@@ -67,6 +72,9 @@ def evaluate(
     the rig searches those of the PID, a minute or two, the policy is that for any axis, and other controllers are left
     out, with one line each.
 
+    With `--rig drawn` agents on the observation of `rig="drawn"` run on 100 rigs of the test split, beside untuned flow
+    linearisation on each. The command prints ratios of errors and returns.
+
     With `--protocol` the controllers of the study `opponents` (or of `--config`) and your own run under every condition
     of a protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--task` and `--rig` replace
     those of the protocol. Ctrl-C keeps the finished jobs, and `--resume` goes on.
@@ -79,7 +87,18 @@ def evaluate(
     from hydro_agents.running.jobs import workers
     from hydro_env.files import read_yaml
     from hydro_env.folders import config_file
+    from hydro_env.task.rig import law_of
 
+    if rig is not None:
+        law = law_of(rig)
+        if law is not None:
+            _refuse_with_law({"--config": config, "--period": period, "--latency": latency, "--protocol": protocol})
+            with workers(jobs):
+                _evaluate_on_drawn_rigs(
+                    law, named_agents(agent), plants, Options(task, None, output or DRAWN, resume, overwrite)
+                )
+            return
+        rig = config_file("rigs", rig)
     file = None if protocol is None else config_file("protocols", protocol)
     folder = output or Path("results") / ("evaluate" if file is None else file.stem)
     options = Options(task, rig, folder, resume, overwrite, file, period, latency)
@@ -113,6 +132,36 @@ def _evaluate_detectors(head: Path | None, options: Options) -> None:
         own = HeadDetector.load(head)
     detectors = {name: make_detector(choice, own) for name, choice in protocol.detectors.items()}
     run_protocol(protocol, detectors, options, LEAKAGE_PAGE, protocol)
+
+
+def _refuse_with_law(options: dict[str, object]) -> None:
+    for option, value in options.items():
+        if value is not None:
+            raise ConfigurationError(f"{option}: has no meaning on drawn rigs")
+
+
+def _evaluate_on_drawn_rigs(law: dict[str, Any], agents: dict[str, str], plants: int | None, options: Options) -> None:
+    """Run agents and untuned flow linearisation on rigs of the test split."""
+    from hydro_agents.evaluation.drawn_rigs import PLANTS, on_drawn_rigs, summary
+    from hydro_agents.running.console import ProgressDisplay, console_table
+    from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.jobs import RESULT_FILES
+    from hydro_agents.running.text import Table
+    from hydro_env.files import write_whole
+    from hydro_env.task.configuration import task_config
+
+    drawn = task_config(options.task, law=law | {"split": "test", "count": TEST_RIGS})
+    writes = [RESULT_FILES, "rigs.csv"]
+    with (
+        output_folder(options.output, "evaluate", writes, resume=options.resume, overwrite=options.overwrite),
+        ProgressDisplay() as display,
+    ):
+        rows = on_drawn_rigs(drawn, agents, plants or PLANTS, options.output, display.update)
+        write_whole(options.output / "rigs.csv", rows.to_csv(index=False).encode())
+    header = ("agent", "rigs", "error ÷ untuned, median (95 %)", "geometric mean", "better on", "range", "failures")
+    table = Table("", (*header, "return ± sd"), [tuple(row) for row in summary(rows)])
+    display.console.table(console_table(table, whole=True))
+    display.say(f"rigs: {(options.output / 'rigs.csv').resolve()}")
 
 
 def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: int | None, options: Options) -> None:

@@ -17,6 +17,7 @@ from hydro_env.axes import Axes
 from hydro_env.errors import reason
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import State
+from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.sensors import CHANNELS
 
 _SPOOL = State._fields.index("spool_position")
@@ -136,7 +137,7 @@ def run_cases(
         states: keep positions, commands and so on as well.
 
     Raises:
-        ConfigurationError: the task draws its rigs.
+        ConfigurationError: the task draws from several rigs.
         ControllerError: the controller has no ``predict``, raised an exception, or did not return finite commands (N,
             1) with a state; the message names the case.
 
@@ -151,13 +152,14 @@ def run_cases(
         ((4, 100), [-1, -1, -1, -1])
     """
     check_predict(controller)
-    if config.law is not None:
+    if config.law is not None and config.law.count > 1:
         raise ConfigurationError("law: a run is on one rig; rig_tasks(config) lists those of the law")
     return _run(config, controller, cases, signal_columns, states)
 
 
 def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any, keep_states: bool) -> Rollout:
-    count, steps = len(cases), config.steps
+    rig = rig_tasks(config)[0]  # the task itself if it draws none
+    count, steps = len(cases), rig.steps
     # NEXT_STEP shows the last sample of an episode before its axis restarts.
     env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
     observation, _ = env.reset(seed=[int(seed) for seed in cases.seeds], options=cases.options)
@@ -177,7 +179,7 @@ def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any,
             signals[step] = observation[:, columns]
             signals[step, ~alive] = signals[step - 1, ~alive]
         started = np.full(count, step == 0)
-        action, memory = _act(controller, observation, memory, started, alive, cases, step * config.control_period)
+        action, memory = _act(controller, observation, memory, started, alive, cases, step * rig.control_period)
         observation, rewards, terminated, _, _ = env.step(action)
         if keep_states:
             now = _traced(axes) | {"reward": rewards}
@@ -188,7 +190,7 @@ def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any,
         failed_at[alive & terminated] = step
     env.close()
     return Rollout(
-        time=config.control_period * np.arange(1, steps + 1, dtype=np.float64),
+        time=rig.control_period * np.arange(1, steps + 1, dtype=np.float64),
         reference=reference,
         failed_at=failed_at,
         position_bias=bias,

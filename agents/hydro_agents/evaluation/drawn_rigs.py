@@ -1,0 +1,141 @@
+"""Controllers on drawn rigs that no training saw: their errors beside those of untuned flow linearisation, and returns.
+
+An agent of one's own reads the observation of ``rig="drawn"``, the baseline that of the rig's own task. Both get the
+same plants, references and noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.registry import CONTROLLERS
+from hydro_agents.learning.loading import SHIPPED_WEIGHTS, load_controller
+from hydro_agents.running.cases import Cases, Rollout, run_cases
+from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
+from hydro_agents.running.seeds import ANY_AXIS
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.task.configuration import task_config
+from hydro_env.task.drawn_rigs import rig_tasks
+from hydro_env.task.reference_signals import MOVING_FAMILIES
+
+UNTUNED = "flow linearisation, untuned"
+LEAKS = (0.05, 2.0)  # l/min at 100 bar
+PLANTS = 8  # of each family and leak
+RESAMPLES = 2000
+
+
+def cases_of(number: int, plants: int = PLANTS) -> Cases:
+    """The cases on a rig: plants of each moving family of references, at each leak."""
+    pairs = [(family, leak) for family in MOVING_FAMILIES for leak in LEAKS for _ in range(plants)]
+    seeds = np.array(ANY_AXIS.take(len(pairs), 1000 + (400 * number) % 40_000))
+    return Cases(seeds, np.array([leak for _, leak in pairs]), np.array([family for family, _ in pairs]))
+
+
+def errors_of(run: Rollout, cases: Cases, stroke: float) -> dict[str, float]:
+    """Errors of each family in the frame of the sensor, their geometric mean, µm; failures; valve travel, 1/s.
+
+    A failed axis is wrong by its stroke for the rest of the episode.
+    """
+    error = np.abs(run.position + run.position_bias[:, None] - run.reference)
+    for axis in np.flatnonzero(run.failed_at >= 0):
+        error[axis, run.failed_at[axis] :] = stroke
+    errors = {f"{family}_um": 1e6 * float(error[cases.families == family].mean()) for family in MOVING_FAMILIES}
+    return {
+        "error_um": float(np.exp(np.mean(np.log(list(errors.values()))))),
+        "failures": int((run.failed_at >= 0).sum()),
+        "travel": float(np.abs(np.diff(run.command, axis=1)).mean() / run.time[0]),
+        **errors,
+    }
+
+
+def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: int, plants: int) -> Columns:
+    """Errors of one rig (:func:`errors_of`), and the returns of its episodes.
+
+    Args:
+        controller: an agent that reads the observation of drawn rigs; ``None``: ``what`` is a kind or weights, loaded
+            for the rig's own task.
+        what: as for :func:`~hydro_agents.learning.loading.load_controller`.
+        drawn: the task that draws its rigs.
+        number: of the rig.
+        plants: of each family and leak.
+    """
+    assert drawn.law is not None
+    law = {"first": drawn.law.first + number, "count": 1}
+    own = rig_tasks(task_config(drawn, law=law | {"preview_paces": ()}))[0]
+    task = own
+    if controller is None:
+        controller = load_controller(what, own, what)
+    else:
+        task = task_config(drawn, law=law)
+    cases = cases_of(number, plants)
+    run = run_cases(task, controller, cases)
+    found = {"rig": number, **errors_of(run, cases, own.plant.cylinder.stroke)}
+    columns: Columns = {name: np.array([value]) for name, value in found.items()}
+    return columns | {"returns": run.reward.sum(axis=1)}
+
+
+def on_drawn_rigs(
+    drawn: TaskConfig,
+    agents: Mapping[str, str],
+    plants: int = PLANTS,
+    folder: Path | None = None,
+    progress: Report | None = None,
+) -> pd.DataFrame:
+    """One row per agent and rig, untuned flow linearisation first; finished jobs in the folder are read.
+
+    Raises:
+        ConfigurationError: an agent cannot be made, or failed.
+    """
+    jobs: dict[str, Job] = {}
+    assert drawn.law is not None
+    for name, what in {UNTUNED: "flow_linearising", **agents}.items():
+        of_rig = what in (*CONTROLLERS, *SHIPPED_WEIGHTS)
+        controller = None if of_rig else load_controller(what, drawn, name)
+        digest = what if of_rig else fingerprint(controller)
+        for number in range(drawn.law.count):
+            jobs[f"{name}|{number}"] = Job(on_rig, controller, (what, drawn, number, plants), digest)
+    answers, _ = run_jobs(jobs, folder, None, progress)
+    rows = []
+    for key, answer in answers.items():
+        if answer.error:
+            raise ConfigurationError(f"{key.partition('|')[0]}: {answer.error}")
+        returns = answer.metrics["returns"]
+        row = {name: float(values[0]) for name, values in answer.metrics.items() if name != "returns"}
+        rows.append({"agent": key.partition("|")[0], **row, "return": returns.mean(), "return_sd": returns.std()})
+    order = [UNTUNED, *agents]
+    rows.sort(key=lambda row: (order.index(row["agent"]), row["rig"]))
+    return pd.DataFrame(rows)
+
+
+def in_words(ratio: pd.Series) -> list[str]:
+    """Of errors relative to another, one per rig: rigs, median (95 %), geometric mean, better on, range."""
+    chosen = np.random.default_rng(0).integers(0, len(ratio), (RESAMPLES, len(ratio)))
+    low, high = np.quantile(np.median(ratio.to_numpy()[chosen], axis=1), [0.025, 0.975])
+    return [
+        str(len(ratio)),
+        f"{ratio.median():.3f} ({low:.3f}–{high:.3f})",
+        f"{np.exp(np.log(ratio).mean()):.3f}",
+        f"{int((ratio < 1.0).sum())}",
+        f"{ratio.min():.3f}–{ratio.max():.3f}",
+    ]
+
+
+def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
+    """One row per agent: its errors relative to those of untuned flow linearisation, failures, and its return."""
+    errors = rows.pivot(index="rig", columns="agent", values="error_um")
+    for name in rows["agent"].unique():
+        own = rows[rows["agent"] == name]
+        returns: NDArray[np.float64] = own["return"].to_numpy()
+        spread = float(np.sqrt(np.mean(own["return_sd"] ** 2 + (returns - returns.mean()) ** 2)))
+        yield [
+            name,
+            *in_words((errors[name] / errors[UNTUNED]).dropna()),
+            f"{int(own['failures'].sum())}",
+            f"{returns.mean():.1f} ± {spread:.1f}",
+        ]
