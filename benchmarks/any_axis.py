@@ -16,9 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from benchmarks import command_line
 from benchmarks.kept_rows import kept_rows
@@ -27,9 +25,10 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_agents.controllers.registry import make_controller
+from hydro_agents.evaluation.drawn_rigs import UNTUNED, cases_of, errors_of, in_words
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.rig_gains import gain_sets, searched_gains
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import run_cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.limit_cycles import counted_at_rest
 from hydro_agents.running.seeds import ANY_AXIS
@@ -37,43 +36,22 @@ from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
-from hydro_env.task.reference_signals import MOVING_FAMILIES
 
-UNTUNED, POLICY, TUNED = "flow linearisation, untuned", "policy for any axis", "flow linearisation, tuned for the rig"
+POLICY, TUNED = "policy for any axis", "flow linearisation, tuned for the rig"
 SEARCHED = "flow linearisation, gains searched by simulation"
 PID_OF_RIG, FIGURES = "PID, gains searched by simulation", "PID, the recommended gain"
 PROPORTIONAL = "P, the recommended gain"
-LEAKS = (0.05, 2.0)  # l/min at 100 bar
-PLANTS = 8  # of each family and leak
 STANDSTILLS = 16
 STRUCTURE = {"tip_share": 0.6, "wave_share": 0.3, "sharp_share": 0.4}
-RESAMPLES = 2000
 
 
-def families_and_leaks() -> tuple[NDArray[np.str_], NDArray[np.float64]]:
-    """The family and the leak of each case on a rig."""
-    pairs = [(family, leak) for family in MOVING_FAMILIES for leak in LEAKS for _ in range(PLANTS)]
-    return np.array([family for family, _ in pairs]), np.array([leak for _, leak in pairs])
-
-
-def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, Any]:
-    """Errors of each family in µm, their geometric mean, failures, valve travel, limit cycles of one rig."""
-    families, leaks = families_and_leaks()
-    seeds = np.array(ANY_AXIS.take(len(families), skip))
-    run = run_cases(task, controller, Cases(seeds, leaks, families))
-    error = np.abs(run.position + run.position_bias[:, None] - run.reference)
-    for axis in np.flatnonzero(run.failed_at >= 0):
-        error[axis, run.failed_at[axis] :] = task.plant.cylinder.stroke
-    errors = {f"{family}_um": 1e6 * float(error[families == family].mean()) for family in MOVING_FAMILIES}
+def measured(controller: Controller, task: TaskConfig, number: int) -> dict[str, Any]:
+    """Errors of a controller on one rig (:func:`errors_of`), and how it comes to rest."""
+    cases = cases_of(number)
+    found = errors_of(run_cases(task, controller, cases), cases, task.plant.cylinder.stroke)
     rest = counted_at_rest(controller, task, ANY_AXIS, STANDSTILLS)
-    return {
-        "error_um": float(np.exp(np.mean(np.log(list(errors.values()))))),
-        "failures": int((run.failed_at >= 0).sum()) + int(rest["failures"]),
-        "travel": float(np.abs(np.diff(run.command, axis=1)).mean() / task.control_period),
-        "limit_cycles": int(rest["limit_cycles"]),
-        "ringing": int(rest["ringing"]),
-        **errors,
-    }
+    failures = int(found["failures"]) + int(rest["failures"])
+    return {**found, "failures": failures, "limit_cycles": int(rest["limit_cycles"]), "ringing": int(rest["ringing"])}
 
 
 def proportional(task: TaskConfig) -> PIDGains:
@@ -106,23 +84,9 @@ def rig_rows(
 ) -> list[dict[str, Any]]:
     """A row of results for each controller, or for the chosen ones, on one rig."""
     makers = controllers_on(task, weights, tuned and tuned / f"rig_{number:03}")
-    skip = 1000 + (400 * number) % 40_000
     judged = task_config(task, episode_duration=seconds)
     names = [name for name in makers if name in (UNTUNED, *chosen) or not chosen]
-    return [{"rig": number, "controller": name, **measured(makers[name](), judged, skip)} for name in names]
-
-
-def in_words(ratio: pd.Series) -> list[str]:
-    """Of errors relative to another, one per rig: rigs, median (95 %), geometric mean, better on, range."""
-    chosen = np.random.default_rng(0).integers(0, len(ratio), (RESAMPLES, len(ratio)))
-    low, high = np.quantile(np.median(ratio.to_numpy()[chosen], axis=1), [0.025, 0.975])
-    return [
-        str(len(ratio)),
-        f"{ratio.median():.3f} ({low:.3f}–{high:.3f})",
-        f"{np.exp(np.log(ratio).mean()):.3f}",
-        f"{int((ratio < 1.0).sum())}",
-        f"{ratio.min():.3f}–{ratio.max():.3f}",
-    ]
+    return [{"rig": number, "controller": name, **measured(makers[name](), judged, number)} for name in names]
 
 
 def summary(rows: pd.DataFrame) -> Iterator[list[str]]:

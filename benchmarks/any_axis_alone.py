@@ -13,19 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from sb3_contrib import RecurrentPPO
 
 from benchmarks import command_line
-from benchmarks.any_axis import UNTUNED, families_and_leaks
-from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.evaluation.drawn_rigs import UNTUNED, on_rig
 from hydro_agents.learning.vec_env import AxisVecEnv
-from hydro_agents.running.seeds import ANY_AXIS
 from hydro_agents.running.text import markdown
-from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_env.task.drawn_rigs import rig_tasks
-from hydro_env.task.sensors import POSITION
 
 PRACTICE: dict[str, Any] = {"reward": {"frame": "sensor", "error_limit": 100.0}}
 
@@ -45,42 +39,17 @@ def trained(file: Path, steps: int, sheet: bool) -> RecurrentPPO:
     return model
 
 
-def error(controller: Any, config: TaskConfig, rig: TaskConfig) -> tuple[float, int]:
-    """Geometric mean over the families of the mean error in µm, and the number of failures, on one rig.
-
-    ``config`` is the task whose observations the controller reads; a failed axis is wrong by its stroke.
-    """
-    families, leaks = families_and_leaks()
-    count = len(families)
-    env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
-    options = {"reference": families.tolist(), "leakage_flow_lpm": leaks}
-    observation, _ = env.reset(seed=list(ANY_AXIS.take(count)), options=options)
-    bias, failed = env.axes.column("bias")[:, POSITION].copy(), np.zeros(count, dtype=bool)
-    total, memory = np.zeros(count), None
-    for step in range(rig.steps):
-        command, memory = controller.predict(observation, memory, np.full(count, step == 0), True)
-        observation, _, terminated, _, _ = env.step(command)
-        failed |= terminated
-        apart = np.abs(env.axes.column("position") + bias - env.axes.column("reference"))
-        total += np.where(failed, rig.plant.cylinder.stroke, apart)
-    means = pd.Series(1e6 * total / rig.steps).groupby(families).mean()
-    return float(np.exp(np.log(means).mean())), int(failed.sum())
-
-
 def main() -> None:
     """Train it if it is not there, judge it, and print the table."""
     splits = ("test", "validation", "training")
     output = Path("results/any_axis_alone/policy.zip")
     given = command_line(__doc__, steps=4_000_000, rigs=20, split=splits, first=300, sheet=("yes", "no"), output=output)
     policy = trained(given.output, given.steps, given.sheet == "yes")
-    rows = []
-    for number in range(given.first, given.first + given.rigs):
-        law = {"split": given.split, "count": 1, "first": number}
-        config = task_config(rig="drawn", law={**law, "sheet": given.sheet == "yes"})
-        rig = rig_tasks(task_config(law={**law, "preview_paces": []}))[0]
-        own, failures = error(policy, config, rig)
-        other, _ = error(FlowLinearising(FlowLinearisingGains(), rig), rig, rig)
-        rows.append((own / other, failures))
+    law = {"split": given.split, "count": given.rigs, "first": given.first, "sheet": given.sheet == "yes"}
+    drawn, rows = task_config(rig="drawn", law=law), []
+    for number in range(given.rigs):
+        own, other = on_rig(policy, "", drawn, number), on_rig(None, "flow_linearising", drawn, number)
+        rows.append((own["error_um"][0] / other["error_um"][0], own["failures"][0]))
     ratio, failures = np.array(rows).T
     text = [f"{np.median(ratio):.3g}", f"{np.exp(np.log(ratio).mean()):.3g}", f"{ratio.min():.3g}–{ratio.max():.3g}"]
     header = ("rigs", f"error ÷ {UNTUNED}, median", "geometric mean", "range", "failures")

@@ -54,7 +54,7 @@ def errors_of(run: Rollout, cases: Cases, stroke: float) -> dict[str, float]:
     }
 
 
-def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: int, plants: int) -> Columns:
+def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: int, plants: int = PLANTS) -> Columns:
     """Errors of one rig (:func:`errors_of`), and the returns of its episodes.
 
     Args:
