@@ -26,7 +26,7 @@ def test_a_student_follows_better_the_longer_it_imitates(memory, tmp_path):
     student = train_policy(TASK, settings, seed=0, folder=tmp_path)
     log = pd.read_csv(tmp_path / "progress.csv")
     miss = log["train/miss_of_teacher"].dropna().to_numpy()
-    assert miss[-1] < 0.5 * miss[0]
+    assert miss[-1] < 0.7 * miss[0]
     assert log["train/approx_kl"].notna().sum() == pytest.approx(6, abs=1)  # then PPO goes on
     runs = [run_cases(TASK, each, CASES) for each in (student, shipped("flow_linearising", TASK))]
     errors = [np.abs(run.position - run.reference).mean() for run in runs]
