@@ -1,4 +1,4 @@
-"""A policy that imitates a teacher on its own states: it misses the teacher less and less, and PPO goes on from there."""
+"""A policy that imitates a teacher on its own states misses it less and less, and PPO goes on from there."""
 
 import numpy as np
 import pandas as pd
