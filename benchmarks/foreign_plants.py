@@ -23,11 +23,12 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import expm
 
-from benchmarks import any_axis, command_line
+from benchmarks import command_line
 from benchmarks.any_axis import FIGURES, POLICY, SEARCHED, controllers_on
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.own_loop import OwnLoop
 from hydro_agents.detection.monitor import load_head
+from hydro_agents.evaluation import drawn_rigs
 from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.text import markdown
@@ -45,7 +46,7 @@ SECONDS, SETTLING, RECORDED, RESTING = 2.0, 0.5, 8.0, 10.0  # of a motion, befor
 SLOW = {"speed_share": 0.35, "acceleration_limit": 1.0, "step_range": [0.002, 0.005]}  # Exudyn's oil never cavitates
 SEED, GRAVITY = 11, 9.81
 UNTUNED, LEAK = "flow_linearising", "leak"
-CONTROLLERS = {UNTUNED: any_axis.UNTUNED, "searched": SEARCHED, "pid": FIGURES, "policy": POLICY, LEAK: ""}
+CONTROLLERS = {UNTUNED: drawn_rigs.UNTUNED, "searched": SEARCHED, "pid": FIGURES, "policy": POLICY, LEAK: ""}
 LEAKS = (0.01, 1.0)  # l/min at 100 bar: healthy, worn
 
 ROD, BASE = 0.5, 1.0  # m, mounts of the cylinder: along the boom, and straight below its pivot

@@ -43,7 +43,9 @@ class _Imitating:
         self._update_learning_rate(self.policy.optimizer)
         self.rollout_buffer.actions[:] = self.lessons  # the density at the lessons tells how far the policy misses them
         recurrent = isinstance(self, RecurrentPPO)
-        actor, critic, misses = [], [], []
+        actor: list[torch.nn.Parameter] = []
+        critic: list[torch.nn.Parameter] = []
+        misses = []
         for name, weights in self.policy.named_parameters():
             (actor if name.startswith(ACTOR) else critic).append(weights)
         for _ in range(self.n_epochs):
