@@ -93,9 +93,9 @@ def load_policy(path: Path, config: TaskConfig, gains: GainsFor, trainer: Traine
     Raises:
         ConfigurationError: the weights cannot be read, or the rig lacks a sensor that the policy needs.
     """
-    from hydro_agents.learning.trainers import TRAINERS
+    from hydro_agents.learning.policy import PolicyController
 
-    policy: Any = (trainer or TRAINERS["ppo"]).load(path)
+    policy: Any = PolicyController.load(path) if trainer is None else trainer.load(path)
     features: Any = getattr(policy, "features", None)
     if not getattr(features, "for_any_axis", False) or features.config == config:
         loaded: Controller = policy
