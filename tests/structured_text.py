@@ -90,7 +90,7 @@ class ToPython(ast.NodeTransformer):
 
 
 def to_python(expression: str) -> str:
-    text = WORD.sub(lambda word: f" {WORDS[word[0]]} ", expression)
+    text = WORD.sub(lambda word: f" {WORDS[word[0]]} ", expression.replace("REAL#", ""))
     return ast.unparse(ToPython().visit(ast.parse(" ".join(text.split()), mode="eval").body))
 
 
@@ -103,25 +103,53 @@ class FunctionBlock:
     stops = True
 
     def __init__(self, text: str) -> None:
-        types, *numbers, block = re.split(r"^FUNCTION_BLOCK ", COMMENT.sub("", text), flags=re.MULTILINE)
+        before, block = re.split(r"^FUNCTION_BLOCK ", COMMENT.sub("", text), flags=re.MULTILINE)
+        types, *functions = re.split(r"^FUNCTION (?=\w)", before, flags=re.MULTILINE)
         declarations, _, body = block.rpartition("END_VAR")
-        self.gains = {name.lower(): float(value) for name, _, _, value in DECLARED.findall(types)}
+        found = DECLARED.findall(types)
+        self.gains = {name.lower(): float(value) for name, last, _, value in found if not last}
+        self.arrays = {name: (last, kind) for name, last, kind, _ in found if last}
         self.outputs = [
             name for name, *_ in DECLARED.findall(declarations.partition("VAR_OUTPUT")[2].partition("END_VAR")[0])
         ]
         self.kinds: dict[str, str] = {}
-        self.memory: dict[str, Any] = {}
-        for name, last, kind, value in DECLARED.findall("".join(numbers)):  # of the one variable of all instances
-            constants = re.search(r"VAR_EXTERNAL\s+(\w+) :", declarations)[1].lower()
-            self.memory[f"{constants}.{name.lower()}"] = self._initial(name, kind, int(last) + 1, value)
+        space = dict(FUNCTIONS)
+        for function in functions:
+            space |= self._function(function)
+        self.memory = self._declared(declarations)
+        self._step = self._translated(body, space)
+
+    def _declared(self, declarations: str) -> dict[str, Any]:
+        """The variables with their initial values."""
+        memory: dict[str, Any] = {}
         for names, last, kind, value in DECLARED.findall(declarations):
+            last, kind = self.arrays.get(kind, (last, kind))
             for name in names.lower().split(", "):
                 self.kinds[name] = kind
                 if kind in KINDS:  # no structure
-                    self.memory[name] = self._initial(name, kind, int(last) + 1 if last else 0, value)
-        space = dict(FUNCTIONS)
-        exec("\n".join(["def step(v):", *self._lines(body.partition("END_FUNCTION_BLOCK")[0].rstrip())]), space)
-        self._step = space["step"]
+                    memory[name] = self._initial(name, kind, int(last) + 1 if last else 0, value)
+        return memory
+
+    def _function(self, text: str) -> dict[str, Any]:
+        """A function of arrays that it changes, by its name."""
+        name = text.partition(" ")[0]
+        declarations, _, body = text.rpartition("END_VAR")
+        changed = DECLARED.search(declarations)[1].split(", ")
+        self.kinds[name.lower()] = "BOOL"
+        memory = self._declared(declarations)
+        step = self._translated(body, dict(FUNCTIONS))
+
+        def called(*arrays: list[float]) -> bool:
+            v = {**memory, **dict(zip(changed, arrays, strict=True))}
+            step(v)
+            return v[name.lower()]
+
+        return {name: called}
+
+    def _translated(self, body: str, space: dict[str, Any]) -> Any:
+        """A function of the memory, from statements that call functions of ``space``."""
+        exec("\n".join(["def step(v):", *self._lines(body.partition("END_FUNCTION")[0].rstrip())]), space)
+        return space["step"]
 
     def _initial(self, name: str, kind: str, size: int, text: str) -> Any:
         if not text:

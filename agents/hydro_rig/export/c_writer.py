@@ -73,7 +73,6 @@ class Writer:
         language: of the statements.
         taken: further names that no variable may have.
         prefix: of the names of tables, for a file that contains others.
-        tables_of: text before the name of a table where it is read.
     """
 
     graph: Graph
@@ -81,7 +80,6 @@ class Writer:
     language: Language = C
     taken: Sequence[str] = ()
     prefix: str = ""
-    tables_of: str = ""
     tables: list[str] = field(default_factory=list)
     declared: list[str] = field(default_factory=list)  # where the language wants them first
     work: dict[str, tuple[np.dtype[Any], int]] = field(default_factory=dict)  # there: arrays that several values share
@@ -135,7 +133,7 @@ class Writer:
                 return self.language.number(node.table[index])
             if node not in self._names:
                 self._names[node] = self._table(node)
-            return f"{self.tables_of}{self._names[node]}[{index}]"
+            return f"{self._names[node]}[{index}]"
         if node.is_part:
             run = node.runs[0]
             return self.element(run.source, _place(run.start, run.step, index))
@@ -147,11 +145,14 @@ class Writer:
     def _table(self, node: Node) -> str:
         assert node.table is not None
         name = self._new_name(self.prefix + ("constant_table" if node.name == "constant" else node.name))
-        numbers = [self.language.number(value).removeprefix("REAL#") for value in node.table]  # the array has the type
-        rows = [", ".join(numbers[first : first + 8]) for first in range(0, len(numbers), 8)]
-        kind, size = self.language.types[node.kind], node.size
-        self.tables.append(self.language.table.format(kind, name, size, size - 1, ",\n    ".join(rows)))
+        self.tables.append(self._table_of(name, node.kind, node.table))
         return name
+
+    def _table_of(self, name: str, kind: np.dtype[Any], values: np.ndarray[Any, Any]) -> str:
+        numbers = [self.language.number(value).removeprefix("REAL#") for value in values]  # the array has the type
+        rows = [", ".join(numbers[first : first + 8]) for first in range(0, len(numbers), 8)]
+        size = len(numbers)
+        return self.language.table.format(self.language.types[kind], name, size, size - 1, ",\n    ".join(rows))
 
     def _statement(self, node: Node) -> list[str]:
         if node.is_part:

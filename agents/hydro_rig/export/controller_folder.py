@@ -253,7 +253,7 @@ def exported_files(
         "diagram": DIAGRAM,
         "lost_rule": LOST_RULE,
         "outside": OUT_OF_RANGE,
-        "shared": f"{name}Numbers" in in_text,
+        "products": f"FUNCTION {name}Product1 " in in_text,
         "state_size": sum(part.size for part in graph.memory),
         "variable": [gain.name for gain in graph.gains],
         "gains": gain_rows(gains) if isinstance(gains, Group) else [],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from hydro_env import __version__
 from hydro_rig.export.c_files import TEMPLATES, render
 from hydro_rig.export.c_writer import Language, Writer, declaration
 from hydro_rig.export.controller import GAINS, ControllerGraph, field, written_step
-from hydro_rig.export.graph import KINDS, needed
+from hydro_rig.export.graph import KINDS, Graph, Node
 from hydro_rig.export.tracing import TraceError
 
 TYPES = dict(zip(KINDS, ("LREAL", "REAL", "DINT", "BOOL"), strict=True))
@@ -28,7 +29,7 @@ OPERATIONS = {
 RESERVED = frozenset((TEMPLATES / "reserved_words.txt").read_text(encoding="utf-8").split())
 """Words of the language, its standard functions and blocks, and of C; indices of loops. No variable has such a name."""
 
-LARGEST_OWN = 1000  # numbers of tables that an instance holds
+LARGEST_TABLE = 1000  # numbers in single precision, 4 kB: of a matrix in an instance, or in one function
 
 ASCII = {"±": "+/-", "…": "...", "−": "-", "→": "->", "²": "2", "°": "deg", "√": "root of "}
 
@@ -69,6 +70,52 @@ LANGUAGE = Language(
 )
 
 
+class TextWriter(Writer):
+    """Writes the product with a large matrix as calls of functions that hold some of its rows each.
+
+    So no instance holds the weights of a policy: every instance would hold a copy of its own constants. Functions need
+    no declaration by the user, unlike global variables, for which some compilers take no initial values of arrays.
+    """
+
+    def __init__(self, graph: Graph, taken: Sequence[str], name: str) -> None:
+        super().__init__(graph, {}, LANGUAGE, taken)
+        self.functions: list[dict[str, Any]] = []
+        self.longest = 0  # vector of the products
+        self._name = name  # of the function block
+        self._calls: dict[Node, list[str]] = {}  # of the functions of each matrix
+
+    def _total(self, node: Node, name: str) -> list[str]:
+        matrix = node.operands[-1]
+        large = matrix.operation == "constant" and matrix.kind == np.float32 and matrix.size > LARGEST_TABLE
+        if node.operation != "matmul" or node.sizes[0] > 1 or not large:
+            return super()._total(node, name)
+        _, rows, columns = node.sizes
+        if matrix not in self._calls:
+            self._calls[matrix] = self._functions(matrix, rows, columns)
+        self.longest = max(self.longest, rows, columns)
+        return [
+            *self._declaration(node, name),
+            self._loop("i", rows, f"factors[i] := {self.element(node.operands[0], 'i')};"),
+            self._loop("i", columns, "totals[i] := 0.0;"),
+            *self._calls[matrix],
+            self.stored(name, "totals", columns),
+        ]
+
+    def _functions(self, matrix: Node, rows: int, columns: int) -> list[str]:
+        """Writes the functions of a matrix; returns their calls."""
+        assert matrix.table is not None
+        calls = []
+        step = max(LARGEST_TABLE // columns, 1)
+        for first in range(0, rows, step):
+            name, count = f"{self._name}Product{len(self.functions) + 1}", min(step, rows - first)
+            numbers = matrix.table[first * columns : (first + count) * columns]
+            weights = self._table_of("weights", matrix.kind, numbers)
+            values = {"name": name, "weights": weights, "first": first, "rows": count, "columns": columns}
+            self.functions.append(values)
+            calls.append(f"done := {name}(factors, totals);")
+        return calls
+
+
 def st_name(name: str) -> str:
     """Name of an input or output: ``pressure_a`` → ``PressureA``; ``Reference`` is a word of some dialects."""
     if name == "reference":
@@ -79,22 +126,21 @@ def st_name(name: str) -> str:
 def structured_text(controller: ControllerGraph, name: str = "Controller") -> str:
     """A function block; without a call of another library, with the arithmetic of the C code.
 
-    ``name``: of the function block; ``NAMEGains`` is the structure of its gains. Large tables, such as the weights of a
-    policy, are those of a block ``NAMENumbers``, of which the project holds a single one: every instance would hold a
-    copy of its own constants. It is a block because some compilers ignore initial values of arrays in a structure.
+    ``name``: of the function block; ``NAMEGains`` is the structure of its gains, ``NAMEProduct1`` … hold the weights of
+    a policy.
     """
     inputs = {row.name: st_name(row.name) for row in controller.inputs if not row.name.startswith(GAINS)}
     gains = {GAINS + gain.name: f"Gains.{gain.name}" for gain in controller.gains}
     outputs = {output: st_name(output) for output in controller.outputs}
     fields = {part.name: field(part.name) for part in controller.memory}
-    taken = ("wanted", "gains", name, f"{name}Constants", *inputs.values(), *outputs.values(), *fields.values())
-    constants = [node for node in needed([*controller.graph.outputs.values()]) if node.operation == "constant"]
-    shared = sum(node.size for node in constants) > LARGEST_OWN
-    writer = Writer(controller.graph, {}, LANGUAGE, taken, tables_of=f"{name}Constants." if shared else "")
+    own = ("wanted", "gains", "factors", "totals", "done", name)
+    taken = (*own, *inputs.values(), *outputs.values(), *fields.values())
+    writer = TextWriter(controller.graph, taken, name)
     values = written_step(controller, writer, {**fields, **inputs, **gains}, outputs)
     values |= {
         "name": name,
-        "shared": shared,
+        "functions": writer.functions,
+        "longest": writer.longest,
         "st_name": st_name,
         "types": {bool: "BOOL", int: "DINT", float: "LREAL"},
         "inputs": [(row, literal(row.kind(row.default))) for row in controller.block.inputs],
