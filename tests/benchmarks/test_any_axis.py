@@ -1,20 +1,23 @@
 """The judgement of controllers on drawn rigs counts what it says."""
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from benchmarks import any_axis
-from benchmarks.any_axis import POLICY, SEARCHED, UNTUNED, against, measured, summary
+from benchmarks.any_axis import POLICY, SEARCHED, against, measured, summary
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.evaluation.drawn_rigs import UNTUNED, cases_of
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
-    monkeypatch.setattr(any_axis, "PLANTS", 1)
+    monkeypatch.setattr(any_axis, "cases_of", partial(cases_of, plants=1))
     monkeypatch.setattr(any_axis, "STANDSTILLS", 2)
 
 

@@ -106,7 +106,9 @@ def train_head(
         tensors = fitted(windows["data"], settings, seed, tell)
     else:
         tensors = dict(LeakageHead.load(str(settings.start)).tensors)
-    record = {"seed": seed, "settings": settings.model_dump(mode="json")}
+    record: dict[str, Any] = {"seed": seed, "settings": settings.model_dump(mode="json")}
+    if settings.start is not None:
+        record["before"] = LeakageHead.load(settings.start).settings.training
     head = calibrated(tensors, config, settings.longest_window(config), windows["validation"], record)
     head.settings.training["seconds"] = round(time.monotonic() - began, 1)
     return head
