@@ -39,10 +39,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 63_100,
-    "hydro_agents": 114_300,
-    "hydro_rig": 115_600,
-    "tests": 199_400,
+    "hydro_env": 62_900,
+    "hydro_agents": 114_700,
+    "hydro_rig": 113_100,
+    "tests": 178_500,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 
