@@ -65,7 +65,7 @@ def test_a_failing_agent_is_named_and_resuming_uses_the_finished_jobs(place):
     ("arguments", "parts"),
     [
         (("--protocol", "robst"), ("protocol 'robst': unknown", "quick, robustness")),
-        (("--rig", "drawn"), ("--rig drawn: draws rigs, and a command needs one",)),
+        (("--rig", "drawn", "--period", "1ms"), ("--period: has no meaning on drawn rigs",)),
         (("--protocol", "own.yaml", "--plants", "9"), ("--plants", "from its file")),
         (("--protocol", "leakage_quick", "--agent", "x=pid"), ("--agent: a protocol takes it from its file",)),
     ],

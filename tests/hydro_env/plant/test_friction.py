@@ -64,7 +64,7 @@ def test_friction_gives_back_no_more_than_it_has_stored(amplitude, second, frequ
     for velocity in speeds.tolist():
         force, _ = friction(velocity, deflection, C)
         work += force * velocity * step
-        assert work > -1e-6 * F.breakaway_force * amplitude / frequency
+        assert work > -1e-5 * F.breakaway_force * amplitude / frequency
         # exact over the step, as velocity is constant in it
         decay = C.bristle_stiffness * abs(velocity) / sliding_force(velocity)
         settled = math.copysign(sliding_force(velocity), velocity) / C.bristle_stiffness if velocity else 0.0
