@@ -76,7 +76,7 @@ class AxisVecEnv(_SharedVecEnv):
         stagger: advance the clock of axis i by i/N of an episode at the first reset; the axes then restart at
             different times. The references jump at that moment; later episodes are whole.
         reversal_price: additional cost, per part of 10 V of the smaller swing at each reversal of the command.
-        teacher: a controller whose commands on the axes' own states :attr:`taught` holds; paired alone.
+        teacher: a controller whose commands on the axes' own states ``taught`` holds; paired alone.
         overrides: single fields of the task.
 
     Raises:
@@ -115,7 +115,7 @@ class AxisVecEnv(_SharedVecEnv):
         self._state: FeatureState | None = None
         self._corrected: Any = None
         self._twin_commands = np.zeros((0, 1), dtype=np.float32)
-        self.lessons: list[NDArray[np.float32]] | None = None  # collects :attr:`taught` of each step, if a list
+        self.lessons: list[NDArray[np.float32]] | None = None  # collects `taught` of each step, if a list
         self.taught = np.zeros((count, 1), dtype=np.float32)  # the teacher's commands for the last inputs
         self._returns = np.zeros(count)
         self._lengths = np.zeros(count, dtype=np.int64)
