@@ -25,7 +25,7 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.evaluation.drawn_rigs import UNTUNED, cases_of, errors_of, in_words
+from hydro_agents.evaluation.drawn_rigs import UNTUNED, beside_untuned, cases_of, errors_of, in_words
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.rig_gains import gain_sets, searched_gains
 from hydro_agents.running.cases import run_cases
@@ -91,13 +91,11 @@ def rig_rows(
 
 def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
     """One row per controller: its errors relative to those of untuned flow linearisation, rig by rig."""
-    errors = rows.pivot(index="rig", columns="controller", values="error_um")
     travel = rows.pivot(index="rig", columns="controller", values="travel")
-    for name in rows["controller"].unique():
-        own = rows[rows["controller"] == name]
+    for name, own, ratios in beside_untuned(rows, "controller"):
         yield [
             name,
-            *in_words((errors[name] / errors[UNTUNED]).dropna()),
+            *ratios,
             f"{(travel[name] / travel[UNTUNED]).median():.2f}",
             f"{int(own['failures'].sum())}",
             f"{int(own['limit_cycles'].sum())}",

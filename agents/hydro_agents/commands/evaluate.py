@@ -92,7 +92,9 @@ def evaluate(
     if rig is not None:
         law = law_of(rig)
         if law is not None:
-            _refuse_with_law({"--config": config, "--period": period, "--latency": latency, "--protocol": protocol})
+            _refuse_with_law(
+                {"--config": config, "--protocol": protocol, "--head": head, "--period": period, "--latency": latency}
+            )
             with workers(jobs):
                 _evaluate_on_drawn_rigs(
                     law, named_agents(agent), plants, Options(task, None, output or DRAWN, resume, overwrite)

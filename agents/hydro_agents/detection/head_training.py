@@ -91,6 +91,7 @@ def train_head(
     torch.set_num_threads(1)  # more threads cost more than this small network gains
     began = time.monotonic()
     tell: Progress = progress or (lambda *_: None)
+    start = None if settings.start is None else LeakageHead.load(settings.start)  # a wrong path is told at once
     windows: dict[str, LabelledWindows] = {}
     for phase, jobs in simulations(config, controllers, settings, seed).items():
 
@@ -102,13 +103,13 @@ def train_head(
             if result.error:
                 raise ConfigurationError(result.error)
         windows[phase] = LabelledWindows.joined([LabelledWindows(**found[key].metrics) for key in jobs])
-    if settings.epochs:
-        tensors = fitted(windows["data"], settings, seed, tell)
-    else:
-        tensors = dict(LeakageHead.load(str(settings.start)).tensors)
     record: dict[str, Any] = {"seed": seed, "settings": settings.model_dump(mode="json")}
-    if settings.start is not None:
-        record["before"] = LeakageHead.load(settings.start).settings.training
+    if start is not None:
+        record["before"] = start.settings.training
+    if start is not None and settings.epochs == 0:
+        tensors = dict(start.tensors)
+    else:
+        tensors = fitted(windows["data"], settings, seed, tell, start)
     head = calibrated(tensors, config, settings.longest_window(config), windows["validation"], record)
     head.settings.training["seconds"] = round(time.monotonic() - began, 1)
     return head
@@ -141,7 +142,11 @@ def loss_of(output: Tensor, labels: Tensor, size: Tensor, size_weight: float) ->
 
 
 def fitted(
-    data: LabelledWindows, settings: HeadTrainingSettings, seed: int, progress: Progress
+    data: LabelledWindows,
+    settings: HeadTrainingSettings,
+    seed: int,
+    progress: Progress,
+    start: LeakageHead | None = None,
 ) -> dict[str, NDArray[Any]]:
     """The tensors of a head whose network has learned from the windows, without thresholds and intervals."""
     features = data.features
@@ -150,8 +155,8 @@ def fitted(
     rate, decay = settings.learning_rate, settings.weight_decay
     optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
     tensors = tensors_like(settings.width, features.shape[1]) | statistics_of(features)
-    if settings.start is not None:
-        tensors |= begun(settings.start, network, features)
+    if start is not None:
+        tensors |= begun(start, network, features)
     inputs = torch.from_numpy(standardised(features, tensors["mean"], tensors["scale"]))
     disturbed = (data.disturbance >= 1.0).astype(np.float32)
     labels = torch.from_numpy(np.column_stack([data.labels, disturbed]))
@@ -174,16 +179,16 @@ def fitted(
     return tensors | network_tensors(network)
 
 
-def begun(start: str, network: nn.Sequential, features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+def begun(start: LeakageHead, network: nn.Sequential, features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
     """The network gets the weights of a head; returns that head's standardisation, with the windows' own whitening.
 
     Raises:
         ConfigurationError: the head has other inputs or another width.
     """
-    known = LeakageHead.load(start).tensors
+    known = start.tensors
     linear = [layer for layer in network if isinstance(layer, nn.Linear)]
     if known["weight_0"].shape != tuple(linear[0].weight.shape):
-        raise ConfigurationError(f"start = {start}: has other inputs or another width than the training")
+        raise ConfigurationError("start: has other inputs or another width than the training")
     with torch.no_grad():
         for number, layer in enumerate(linear):
             layer.weight.copy_(torch.from_numpy(known[f"weight_{number}"]))

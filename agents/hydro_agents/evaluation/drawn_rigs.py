@@ -126,16 +126,21 @@ def in_words(ratio: pd.Series) -> list[str]:
     ]
 
 
+def beside_untuned(rows: pd.DataFrame, by: str) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
+    """Each controller of the column ``by``, its rows, and its errors relative to untuned flow linearisation's."""
+    errors = rows.pivot(index="rig", columns=by, values="error_um")
+    for name in rows[by].unique():
+        yield name, rows[rows[by] == name], in_words((errors[name] / errors[UNTUNED]).dropna())
+
+
 def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
     """One row per agent: its errors relative to those of untuned flow linearisation, failures, and its return."""
-    errors = rows.pivot(index="rig", columns="agent", values="error_um")
-    for name in rows["agent"].unique():
-        own = rows[rows["agent"] == name]
+    for name, own, ratios in beside_untuned(rows, "agent"):
         returns: NDArray[np.float64] = own["return"].to_numpy()
         spread = float(np.sqrt(np.mean(own["return_sd"] ** 2 + (returns - returns.mean()) ** 2)))
         yield [
             name,
-            *in_words((errors[name] / errors[UNTUNED]).dropna()),
+            *ratios,
             f"{int(own['failures'].sum())}",
             f"{returns.mean():.1f} ± {spread:.1f}",
         ]
