@@ -64,6 +64,19 @@ class Normalisation(NamedTuple):
         return cls(centre.astype(np.float32), np.where(unit > 1e-9, unit, 1.0).astype(np.float32))
 
 
+class Standardisation(NamedTuple):
+    """``(input − centre) / unit``, within ± the limit: what ``VecNormalize`` of stable-baselines3 makes of inputs."""
+
+    centre: NDArray[np.float32]
+    unit: NDArray[np.float32]
+    limit: NDArray[np.float32]  # ()
+
+    def __call__(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The standardised inputs, (N, inputs)."""
+        standardised: NDArray[np.float32] = np.clip((inputs - self.centre) / self.unit, -self.limit, self.limit)
+        return standardised
+
+
 def history_lags(config: TaskConfig) -> tuple[int, ...]:
     """:data:`HISTORY_LAGS` in control periods, each at least one, equal ones once; and the newest three samples."""
     periods = periods_per_step(config)
@@ -91,7 +104,8 @@ class PolicyFeatures:
         full_preview: whether the policy sees every sample of the preview; those between the shown ones come from
             memory.
         see_estimates: whether the policy sees the estimates of the corrected controller.
-        lags: ages of the samples in the history, in control periods; default: :func:`history_lags` of the task.
+        lags: ages of the samples in the history, in control periods; default: :func:`history_lags` of the task. Without
+            any, the inputs of a policy that acts on its own are the observation.
 
     Raises:
         ConfigurationError: the corrected controller has no estimates.
@@ -118,7 +132,7 @@ class PolicyFeatures:
         lags: tuple[int, ...] | None = None,
     ) -> None:
         self.config, self.base = config, base
-        self.normalisation: Normalisation | None = None  # leaves the inputs as they are
+        self.normalisation: Normalisation | Standardisation | None = None  # leaves the inputs as they are
         self.layout, self.full_preview = ObservationLayout.of(config), full_preview
         self.residual_scale, self.see_estimates = 1.0, False
         if base is not None:
@@ -128,7 +142,8 @@ class PolicyFeatures:
         self.history = tuple(name for name in HISTORY_SIGNALS if name in self.layout.names)  # a rig may lack sensors
         self.lags = lags if lags is not None else history_lags(config)
         self._columns = self._columns_of(self.history)
-        self._past = max(self.lags) - np.array(self.lags)  # places in the ring
+        self._oldest = max(self.lags, default=0)
+        self._past = self._oldest - np.array(self.lags, np.int64)  # places in the ring
         self._command_column = self.layout.index("previous_command")
         self._blend = np.float32(config.control_period / (config.control_period + LASTING_TIME))
         self._preview = Preview(config)
@@ -165,7 +180,7 @@ class PolicyFeatures:
         zero = np.zeros((len(signals), 1), dtype=np.float32)
         if state is None:
             reference = self._preview.start(observation)
-            ring = np.repeat(signals[:, None], max(self.lags) + 1, axis=1)
+            ring = np.repeat(signals[:, None], self._oldest + 1, axis=1)
             state = FeatureState(None, ring, zero, zero, reference)
             correction = lasting = zero
         else:

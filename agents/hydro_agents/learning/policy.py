@@ -18,6 +18,7 @@ from hydro_agents.learning.features import (
     FeatureState,
     Normalisation,
     PolicyFeatures,
+    Standardisation,
 )
 from hydro_agents.learning.rig_gains import GainsFor, searched_gains
 from hydro_agents.running.weights import load_weights, save_weights
@@ -26,6 +27,7 @@ from hydro_env.errors import reason
 from hydro_env.files import Group, validate
 
 KIND = "policy"
+_NORMALISATION = ("normalisation.centre", "normalisation.unit", "normalisation.limit")  # the last: if standardised
 LONGEST_LAG = 10_000  # control periods; more must be a mistake
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
@@ -192,19 +194,20 @@ class PolicyController:
     def from_sb3(
         cls, model: Any, features: PolicyFeatures | None = None, training: dict[str, Any] | None = None
     ) -> PolicyController:
-        """Copy the actor of a model that was trained on ``AxisVecEnv``.
+        """Copy the actor of a model of stable-baselines3.
 
         Args:
             model: of PPO or A2C with an ``MlpPolicy``, or of RecurrentPPO with an ``MlpLstmPolicy``; its dense layers
                 are of tanh or relu.
-            features: map observations to the model's inputs; default: those of the model's environment.
+            features: map observations to the model's inputs; default: those of the model's environment. Where that has
+                none, the inputs are the observation, standardised where ``VecNormalize`` does it.
             training: record of the training.
 
         Raises:
-            ConfigurationError: the model has another kind of network, or its inputs are not policy features.
+            ConfigurationError: the model has another kind of network or other inputs, or no environment.
         """
         policy = model.policy
-        features = features or getattr(model.get_env(), "features", None)
+        features = features or _features_of(model)
         activation = getattr(getattr(policy, "activation_fn", None), "__name__", "none").lower()
         if not hasattr(policy, "action_net") or activation not in ("tanh", "relu"):
             raise ConfigurationError(f"from_sb3: {type(policy).__name__}: must be an MlpPolicy of tanh or relu layers")
@@ -216,10 +219,9 @@ class PolicyController:
         if hasattr(policy, "lstm_actor"):
             lstm = LSTM.from_torch(policy.lstm_actor)
             inputs = lstm.inputs.shape[1]
-        if features is None or inputs != features.size or len(layers[-1][1]) != 1:
-            raise ConfigurationError(
-                "from_sb3: the model's inputs must be PolicyFeatures: train it on AxisVecEnv(..., features=...)"
-            )
+        if inputs != features.size or len(layers[-1][1]) != 1:
+            must = "those of the observation, or of features of AxisVecEnv"
+            raise ConfigurationError(f"from_sb3: the model has {inputs} inputs: must be {features.size}, {must}")
         return cls(features, layers, training, activation, lstm)
 
     def into(self, model: Any) -> None:
@@ -285,7 +287,8 @@ class PolicyController:
         try:
             features = stored.features.features()
             if stored.features.normalised:
-                features.normalisation = Normalisation(tensors["normalisation.centre"], tensors["normalisation.unit"])
+                parts = [tensors[name] for name in _NORMALISATION if name in tensors]
+                features.normalisation = (Normalisation if len(parts) == 2 else Standardisation)(*parts)
             if stored.lstm_cells is not None:
                 lstm = LSTM(tensors["lstm.inputs"], tensors["lstm.recurrent"], tensors["lstm.bias"])
             for number in range(len(stored.layer_sizes) - 1):
@@ -299,18 +302,41 @@ class PolicyController:
         return policy
 
 
+def _features_of(model: Any) -> PolicyFeatures:
+    """What maps observations to the inputs of a model, from its environment.
+
+    Raises:
+        ConfigurationError: it has no environment of this project, or one that scales features twice.
+    """
+    env, scaling = model.get_env(), None
+    while hasattr(env, "venv"):  # wrappers
+        scaling = env if getattr(env, "norm_obs", False) else scaling
+        env = env.venv
+    try:
+        config: TaskConfig = env.get_attr("config")[0]
+    except AttributeError:
+        raise ConfigurationError("from_sb3: the model has no environment of hydro_env: model.set_env(env)") from None
+    features = copy(getattr(env, "features", None) or PolicyFeatures(config, lags=()))
+    if scaling is not None:
+        if features.normalisation is not None:
+            raise ConfigurationError("from_sb3: VecNormalize and normalised features: one of them must be absent")
+        found, unit = scaling.obs_rms, np.sqrt(scaling.obs_rms.var + scaling.epsilon)
+        features.normalisation = Standardisation(np.float32(found.mean), np.float32(unit), np.float32(scaling.clip_obs))
+    return features
+
+
 def _array(tensor: Any) -> NDArray[np.float32]:
     array: NDArray[np.float32] = tensor.detach().cpu().numpy().copy()
     return array
 
 
-def _named(layers: Layers, normalisation: Normalisation | None, lstm: LSTM | None) -> dict[str, NDArray[np.float32]]:
+def _named(layers: Layers, normalisation: NamedTuple | None, lstm: LSTM | None) -> dict[str, NDArray[np.float32]]:
     """The tensors of a policy's file."""
     named = {}
     for number, (weight, bias) in enumerate(layers):
         named[f"layer{number}.weight"], named[f"layer{number}.bias"] = weight, bias
     if normalisation is not None:
-        named["normalisation.centre"], named["normalisation.unit"] = normalisation
+        named |= dict(zip(_NORMALISATION, normalisation, strict=False))
     if lstm is not None:
         named["lstm.inputs"], named["lstm.recurrent"], named["lstm.bias"] = lstm
     return named

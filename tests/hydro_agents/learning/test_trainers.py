@@ -5,6 +5,8 @@ import pytest
 import torch
 from refusal import refused
 from stable_baselines3 import PPO, TD3
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.policy import PolicyController
@@ -96,9 +98,29 @@ def test_the_weights_of_a_model_act_as_the_model_does(activation):
     np.testing.assert_allclose(policy.features.command(expected, state), command, atol=1e-6)
 
 
+def _gymnasium(config, count):
+    return make_vec_env("ServoHydraulic-v0", count, env_kwargs={"episode_duration": config.episode_duration})
+
+
+@pytest.mark.parametrize("make", [AxisVecEnv, _gymnasium])
+def test_a_model_on_the_observation_acts_with_the_statistics_of_vecnormalize(make, tmp_path):
+    scaled = VecNormalize(make(CONFIG, 4), clip_obs=1.5)
+    model = PPO("MlpPolicy", scaled, n_steps=16, batch_size=32, n_epochs=1, device="cpu").learn(64)
+    with torch.no_grad():
+        model.policy.action_net.weight.mul_(30.0)
+    observation = scaled.reset()
+    PolicyController.from_sb3(model).save(tmp_path / "mine")
+    assert (np.abs(observation) == 1.5).any()
+    expected, _ = model.predict(observation, deterministic=True)
+    command, _ = PolicyController.load(tmp_path / "mine").predict(scaled.get_original_obs())
+    assert np.ptp(expected) > 1e-2
+    np.testing.assert_allclose(command, expected, atol=1e-6)
+
+
 def test_models_that_do_not_fit_are_refused():
     plain = AxisVecEnv(CONFIG, 2)
-    with refused("must be PolicyFeatures"):
-        PolicyController.from_sb3(PPO("MlpPolicy", plain, n_steps=8, batch_size=8, device="cpu"))
+    stacked = VecFrameStack(plain, 2)
+    with refused("has 26 inputs: must be 13"):
+        PolicyController.from_sb3(PPO("MlpPolicy", stacked, n_steps=8, batch_size=8, device="cpu"))
     with refused("TD3Policy: must be an MlpPolicy of tanh or relu"):
         PolicyController.from_sb3(TD3("MlpPolicy", plain, device="cpu", buffer_size=10))
