@@ -64,11 +64,11 @@ def example_traces(results: Results) -> list[Example]:
 
 
 def summary(results: Results) -> Iterator[Table]:
-    """Errors, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
-    title = f"Ratios to {results.controllers[0]}; conditions and families weighted equally"
-    header = ("controller", "error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles")
+    """Errors, worst case and costs as ratios; mean return; failed episodes; standstills with a limit cycle."""
+    title = f"Ratios to {results.controllers[0]}, and mean return; conditions and families weighted equally"
+    header = ("controller", "error", "[95 %]", "worst", "return", "travel", "rev.", "fails", "cycles")
     pattern = "{controller}|{equal_weight:.3f}|{equal_weight_low:.2f}–{equal_weight_high:.2f}|{worst_ratio:.2f}"
-    pattern += "|{travel_ratio:.2f}|{reversals_ratio:.2f}|{failures}|{limit_cycles}/{standstills}"
+    pattern += "|{return:.2f}|{travel_ratio:.2f}|{reversals_ratio:.2f}|{failures}|{limit_cycles}/{standstills}"
     rows = []
     for row in results.table("ranking").to_dict("records"):
         rows.append(tuple(cell.format(**row) for cell in pattern.split("|")))

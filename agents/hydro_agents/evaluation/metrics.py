@@ -23,6 +23,7 @@ ones."""
 
 
 ERROR, ERROR_SENSOR = "mean_error_mm", "mean_error_sensor_mm"  # the metrics by which controllers are compared
+RETURN = "return"
 
 FRAMES_TEXT = (
     "Accuracy is the error of the true position. Repeatability is the error of the position that the sensor reads "
@@ -139,6 +140,7 @@ _METRICS = (
         cost=True,
         ratio="energy",
     ),
+    Metric(RETURN, "1", "Return", "sum of the task's rewards in the episode; at most 0, more is better"),
     Metric("failed", "1", "Failed runs", "1 if the axis failed", shown_unit="%", factor=100.0, cost=True),
 )
 
@@ -210,11 +212,12 @@ class Trace(NamedTuple):
     because an axis may start before the reference does."""
     bias: float = 0.0  # m; the position sensor reads the true position plus this
     power: Array | None = None  # hydraulic power from the supply, W
+    reward: Array | None = None
 
 
 def case_metrics(trace: Trace) -> dict[str, float]:
     """All METRICS of one episode."""
-    position, reference, command, spool, period, is_step, failed, preview, bias, power = trace
+    position, reference, command, spool, period, is_step, failed, preview, bias, power, reward = trace
     error = np.asarray(reference, dtype=np.float64) - position
     time = period * np.arange(1, len(error) + 1)
     settling: list[float] = []
@@ -254,6 +257,7 @@ def case_metrics(trace: Trace) -> dict[str, float]:
         "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),
         "reversals_per_s": reversals(command) / (period * len(command)),
         "supply_energy_j": float(np.sum(power, dtype=np.float64)) * period if power is not None else math.nan,
+        RETURN: float(np.sum(reward, dtype=np.float64)) if reward is not None else math.nan,
         "failed": float(failed),
     }
 
@@ -275,6 +279,7 @@ def rollout_metrics(
             preview=preview,
             bias=float(rollout.position_bias[case]),
             power=rollout.supply_power[case],
+            reward=rollout.reward[case],
         )
         rows.append(case_metrics(trace))
     return {name: np.array([row[name] for row in rows]) for name in METRICS}

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.comparison import ALL, Grid, Mask
-from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
+from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS, RETURN
 from hydro_agents.evaluation.runner import FAILED, Results, table
 from hydro_agents.running.limit_cycles import counted
 from hydro_agents.running.seeds import SEED_MARK
@@ -38,7 +38,7 @@ def summary(results: Results) -> pd.DataFrame:
                 chosen = grid.sample(controller, metric, *part).dense
                 if not chosen.plants:
                     continue
-                worst = own.loc[own[metric].idxmax()]
+                worst = own.loc[own[metric].idxmin() if metric == RETURN else own[metric].idxmax()]
                 rows.append(
                     {
                         "controller": controller,
@@ -118,6 +118,7 @@ def ranking(results: Results) -> pd.DataFrame:
                 **{name: figures.get(controller, {}).get(source, np.nan) for name, source in copied.items()},
                 "best_in": int((best == controller).sum()),
                 "conditions": int(own["condition"].nunique()),
+                RETURN: float(own[RETURN].mean()),
                 "failures": int(own["failed"].sum()),
                 "failed_conditions": int((mine["status"] == FAILED).sum()),
                 "limit_cycles": int(still["limit_cycle"].sum()),

@@ -14,7 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.comparison import ALL
-from hydro_agents.evaluation.metrics import ERROR, FRAMES_TEXT, METRICS
+from hydro_agents.evaluation.metrics import ERROR, FRAMES_TEXT, METRICS, RETURN
 from hydro_agents.report.kit import (
     INK,
     Page,
@@ -164,6 +164,8 @@ def overview(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
         if metric.name in means and means[metric.name].any():
             label = f"{metric.word.lower()}, {metric.shown_unit or metric.unit}"
             frame["cost", label] = metric.factor * means[metric.name]
+    if RETURN in means:
+        frame["reward", "return"] = means[RETURN]
     if "limit_cycle_summary" in tables:
         cycles = tables["limit_cycle_summary"].set_index("controller").reindex(names)
         for column, name in {"limit_cycles": "limit cycles", "standstills": "of", "failures": "failed"}.items():

@@ -136,7 +136,7 @@ def test_every_case_of_a_rollout():
         command=np.zeros(shape, dtype=np.float32),
         spool=np.zeros(shape, dtype=np.float32),
         supply_power=np.full(shape, 200.0, dtype=np.float32),
-        reward=np.zeros(shape, dtype=np.float32),
+        reward=np.full(shape, -0.5, dtype=np.float32),
         failed_at=np.array([-1, 99]),
         position_bias=np.array([0.0001, 0.0]),
         signals=None,
@@ -150,6 +150,7 @@ def test_every_case_of_a_rollout():
     np.testing.assert_allclose(found["mean_error_mm"], 0.1, rtol=1e-4)
     np.testing.assert_allclose(found["settling_time_s"], 30 * 0.005)
     np.testing.assert_allclose(found["supply_energy_j"], 200.0 * 0.5)
+    np.testing.assert_allclose(found["return"], -50.0)
     # The sensor of the first axis reads 0.1 mm too much: seen from it, the axis is 0.1 mm beside its target.
     np.testing.assert_allclose(found["steady_state_error_sensor_mm"], [0.1, 0.0], atol=1e-6)
     np.testing.assert_allclose(found["mean_error_sensor_mm"], [0.09 + 0.11 * 10 / 10, 0.1], rtol=1e-3)
