@@ -108,7 +108,7 @@ def made_up_run():
     )
     bound = pd.DataFrame({"condition": "plain", "level": [0.3, 0.3, 1.0], "seed": 0.0, "sigma_lpm": [0.01, 0.03, 0.05]})
     made = {"windows": pd.concat(frames, ignore_index=True), "thresholds": thresholds}
-    return Results(made_up_protocol(), {}, {"leak_bound": bound}, status, facts=[("file", "made up")], _made=made)
+    return Results(made_up_protocol(), {}, {"bound": bound}, status, facts=[("file", "made up")], _made=made)
 
 
 def made_up_tables():

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 import hydro_env
-from hydro_agents.running import jobs
 
 ROOT = Path(__file__).parents[2]
 GROUND = ("errors", "version", "types", "compiling", "mistakes", "units", "field_mistakes", "folders", "files")
@@ -93,11 +92,6 @@ def test_nothing_imports_upwards(file):
         there = room_of(name)
         if there is not None and file != "hydro_env/__init__.py":  # it loads lazily what stands above
             assert ROOMS.index(there) <= ROOMS.index(here), f"{file} imports {name}"
-
-
-def test_jobs_know_the_rooms_from_the_bottom_to_the_top():
-    order = [ROOMS.index(f"{room}/") for room in jobs.ROOMS]
-    assert order == sorted(order)
 
 
 DOORS = sorted(file for file in INSTALLED if file.endswith("__init__.py"))

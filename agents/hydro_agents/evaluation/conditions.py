@@ -1,4 +1,4 @@
-"""A protocol as data: named conditions, and the parts that are measured under them.
+"""A protocol as data: named conditions, and the jobs that measure every participant under them.
 
 :class:`Protocol` has what every protocol has. Each kind of file adds its own keys:
 :class:`~hydro_agents.evaluation.robustness_protocol.RobustnessProtocol` for controllers and
@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar, cast
+from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar
 
 import pandas as pd
 from pydantic import Field, StringConstraints
@@ -51,45 +50,18 @@ def beginning() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Cell:
-    """One participant under one condition.
+    """One participant under one condition; the runner joins the rows of a table.
 
-    A participant that cannot act under a condition has a cell with the reason in ``refused``, and no jobs.
+    A participant that cannot act under a condition has a cell with the reason in ``refused``, and no jobs. Rows without
+    a participant, such as a bound, stand under a name of their own.
     """
 
+    table: str  # of its rows, one of the protocol's ``parts``
     participant: str
-    condition: str = ""  # empty: the part is about the task of the protocol
+    condition: str
     known: Mapping[str, Any] = field(default_factory=dict)  # first columns of its rows: one value, or one per row
     jobs: tuple[Job, ...] = ()  # their columns follow each other
     refused: str = ""
-
-
-class Part(NamedTuple):
-    """A part of a protocol: a function of the protocol and its participants that yields cells.
-
-    The runner (:mod:`hydro_agents.evaluation.runner`) runs the jobs of all parts together, and joins the rows of a part
-    into one table. A new part is such a function and an entry of :data:`PARTS`. It measures the participants that it
-    asks for; a part without participants, such as a bound, yields cells under a name of its own.
-    """
-
-    table: str  # name of the table of its rows
-    cells: str  # module:function that yields its cells; the module without its package is one of this room
-    kind: str  # of the protocols that may have it
-
-
-PARTS = {
-    "tracking": Part("cases", "tracking:tracking", "robustness"),
-    "standstill": Part("limit_cycles", "tracking:standstill", "robustness"),
-    "windows": Part("windows", "leak_protocol:windows", "leakage"),
-    "leak_bound": Part("bound", "hydro_rig.estimation.information:leak_bound", "leakage"),
-}
-"""Every part by its name. Its module is imported when a protocol has the part."""
-
-
-def cells_of(part: str) -> Callable[[Any, Any], Iterator[Cell]]:
-    """The function that yields the cells of a part from a protocol and its participants."""
-    module, _, name = PARTS[part].cells.partition(":")
-    package = "" if "." in module else f"{__package__}."
-    return cast("Callable[[Any, Any], Iterator[Cell]]", getattr(import_module(package + module), name))
 
 
 def refuse_unknown(key: str, names: Collection[str], known: Collection[str], what: str) -> None:
@@ -121,6 +93,7 @@ class Protocol(Group, Generic[AnyCondition]):
     """What every protocol has; ``configs/protocols`` holds some."""
 
     who: ClassVar[str] = "controller"  # what takes part; the name of its column in the tables
+    parts: ClassVar[tuple[str, ...]]  # tables of the rows of its jobs, the main one first
     unchanged: ClassVar[frozenset[str]] = frozenset({"group", "label", "description", "controllers"})
     """Fields of a condition that change nothing of the axes."""
 
@@ -129,9 +102,8 @@ class Protocol(Group, Generic[AnyCondition]):
     task: TaskConfig = Field(default_factory=TaskConfig)
     conditions: dict[Name, AnyCondition] = Field(min_length=1)
 
-    @property
-    def measured(self) -> tuple[str, ...]:
-        """The parts that the protocol measures; each kind has its own."""
+    def cells(self, chosen: Any) -> Iterator[Cell]:
+        """What is measured of the participants under every condition; each kind has its own."""
         raise NotImplementedError
 
     @classmethod

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from hydro_agents.controllers.by_name import imported
 from hydro_agents.detection.detector import Detector, Windows, cut, measured_run
 from hydro_agents.detection.detectors import DetectorChoice
 from hydro_agents.detection.operations import ACTING, MOTIONS
@@ -26,6 +27,9 @@ from hydro_env.units import Number
 HEALTHY, DRAWN = 0.0, -1.0
 """Levels of drawn leaks: from the healthy range of the task, and from all of its ranges with half of the axes
 healthy."""
+
+LEAK_BOUND = "hydro_rig.estimation.information:leak_bound"
+"""The Cramér–Rao bound is of the package above this one: it comes by name."""
 
 Level = Annotated[Number, Field(ge=DRAWN, le=LEAKAGE_LIMIT)]
 
@@ -70,6 +74,7 @@ class LeakProtocol(Protocol[LeakCondition]):
     unchanged: ClassVar[frozenset[str]] = (
         frozenset(LeakCondition.model_fields) - set(Surroundings.model_fields) - {"faults"}
     )
+    parts: ClassVar[tuple[str, ...]] = ("windows", "bound")
     kind: Literal["leakage"] = "leakage"
     title: str = "Leak detection"
     levels: tuple[Level, ...] = Field((HEALTHY, 0.3, 1.0), min_length=1)
@@ -86,10 +91,11 @@ class LeakProtocol(Protocol[LeakCondition]):
             refuse_unknown(f"conditions.{name}: detectors", condition.detectors or (), self.detectors, "detector")
         return self
 
-    @property
-    def measured(self) -> tuple[str, ...]:
-        """The windows, and the bound where a key asks for it."""
-        return ("windows", "leak_bound") if self.bound_conditions else ("windows",)
+    def cells(self, chosen: Mapping[str, Detector]) -> Iterator[Cell]:
+        """Every detector on the windows of every condition, and the bound where a key asks for it."""
+        yield from windows(self, chosen)
+        if self.bound_conditions:
+            yield from imported(LEAK_BOUND)(self)
 
     def changed_task(self, name: str) -> TaskConfig:
         """The task of the runs of a condition.
@@ -153,9 +159,9 @@ def windows(protocol: LeakProtocol, chosen: Mapping[str, Detector]) -> Iterator[
             if reads and not reason:
                 yield from _cells(protocol, name, reader, detector, samples)
             elif name == protocol.base and detector.threshold is None:
-                yield Cell(reader, name, jobs=(Job(without_threshold),))
+                yield Cell("windows", reader, name, jobs=(Job(without_threshold),))
             elif reason:
-                yield Cell(reader, name, refused=reason)
+                yield Cell("windows", reader, name, refused=reason)
 
 
 def _cells(protocol: LeakProtocol, name: str, reader: str, detector: Detector, samples: int) -> Iterator[Cell]:
@@ -170,7 +176,7 @@ def _cells(protocol: LeakProtocol, name: str, reader: str, detector: Detector, s
         cases = protocol.cases_in(name, level, number, validation).chunks(choice.batch)
         jobs = tuple(Job(read, detector, (*fixed, part), digest) for part in cases)
         place = {"detector": reader, "condition": name, "level": level, "validation": validation}
-        yield Cell(reader, name, place, jobs)
+        yield Cell("windows", reader, name, place, jobs)
 
 
 def without_threshold(_: None) -> Columns:

@@ -120,7 +120,7 @@ def verdicts(results: Results) -> pd.DataFrame:
 def sizes(results: Results) -> pd.DataFrame:
     """Errors of the size and coverage of the 90 % intervals, over windows in which the detector gives an answer."""
     bounds: dict[Any, float] = {}
-    if len(bound := results.part("leak_bound")):
+    if len(bound := results.part("bound")):
         bounds = bound.groupby(["condition", "level"])["sigma_lpm"].median().to_dict()
     rows = []
     for cell, frame in _cells(results):

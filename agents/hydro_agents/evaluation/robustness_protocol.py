@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
-from hydro_agents.evaluation.conditions import Condition, Protocol
-from hydro_agents.running.cases import Cases
+from hydro_agents.controllers.base import Controller
+from hydro_agents.evaluation.conditions import Cell, Condition, Protocol, beginning
+from hydro_agents.evaluation.metrics import rollout_metrics
+from hydro_agents.evaluation.participants import Participants, split_name
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.jobs import Columns, Job, fingerprint
+from hydro_agents.running.limit_cycles import standstill_metrics, standstill_task
 from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
 from hydro_agents.running.tasks import Factor, mappings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
@@ -117,6 +122,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
     A plant has the same seed at every leak level and in every condition. The key ``sweep`` of a file adds conditions.
     """
 
+    parts: ClassVar[tuple[str, ...]] = ("cases", "limit_cycles")
     kind: Literal["robustness"] = "robustness"
     title: str = "Robustness"
     chunk: int = Field(
@@ -135,10 +141,36 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
             raise ValueError("conditions: 'all' is the name of their mean")
         return self
 
-    @property
-    def measured(self) -> tuple[str, ...]:
-        """Tracking, and standstills where the protocol has plants for them."""
-        return ("tracking", "standstill") if self.standstill_plants else ("tracking",)
+    def cells(self, chosen: Participants) -> Iterator[Cell]:
+        """Every controller on the cases of every condition, and after a small step of the reference and back."""
+        for name in self.conditions:
+            yield from self._cells("cases", tracked, chosen, name, self.task_in(name), self.cases_in(name))
+        for name in self.conditions if self.standstill_plants else ():
+            still, cases = standstill_task(self.task_in(name)), self.standstill_cases_in(name)
+            yield from self._cells("limit_cycles", at_rest, chosen, name, still, cases)
+
+    def _cells(
+        self,
+        table: str,
+        work: Callable[..., Columns],
+        chosen: Participants,
+        condition: str,
+        task: TaskConfig,
+        listed: pd.DataFrame,
+    ) -> Iterator[Cell]:
+        """The listed cases under a condition, a cell for each controller, in chunks that ``work`` measures."""
+        cases = self.cases_of(condition, listed).chunks(self.chunk)
+        known = {str(column): listed[column].to_numpy() for column in listed}
+        known |= {"condition": condition, "group": self.conditions[condition].group}
+        for name in chosen.controllers:
+            acting = chosen.of(name, condition, self)
+            if isinstance(acting, str):
+                yield Cell(table, name, condition, refused=acting)
+                continue
+            controller, seed = split_name(name)
+            digest = fingerprint(acting)
+            jobs = tuple(Job(work, acting, (task, part), digest) for part in cases)
+            yield Cell(table, name, condition, {**known, "controller": controller, "training_seed": seed}, jobs)
 
     @classmethod
     def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
@@ -165,10 +197,6 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
             condition = condition.model_copy(update={"task": alone})
         return condition.task_on(self.task, f"conditions.{name}")
 
-    def parameters_in(self, name: str) -> dict[str, dict[str, float | str]]:
-        """Parameters that a condition fixes in every plant, for the option ``parameters`` of ``reset``."""
-        return self.conditions[name].parameters_on(self.task_in(name))
-
     def cases_in(self, name: str) -> pd.DataFrame:
         """The cases of a condition: leak, family, plant and seed of each."""
         condition = self.conditions[name]
@@ -187,10 +215,32 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
             table["seed"].to_numpy(np.int64),
             table["leakage_flow_lpm"].to_numpy(np.float64),
             None if (families == "user").all() else families,
-            self.parameters_in(name),
+            self.conditions[name].parameters_on(self.task_in(name)),
         )
 
     def known_of(self, name: str) -> dict[str, Any]:
         """See :meth:`~hydro_agents.evaluation.conditions.Protocol.known_of`."""
         known = {"description": self.conditions[name].description}
         return known | {"control_period_s": self.task_in(name).control_period, "cases": len(self.cases_in(name))}
+
+
+def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
+    """The metrics of cases under a controller.
+
+    Raises:
+        ControllerError: the controller failed.
+        ConfigurationError: an episode cannot begin.
+    """
+    with beginning():
+        rollout = run_cases(config, controller, cases)
+    families = np.full(len(cases), "user") if cases.families is None else cases.families
+    preview = max(config.references.preview_times, default=0.0)
+    metrics = rollout_metrics(rollout, families, config.control_period, preview)
+    return {name: values.astype(np.float64) for name, values in metrics.items()}
+
+
+def at_rest(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
+    """Limit cycles of cases whose task is a standstill."""
+    with beginning():
+        rollout = run_cases(config, controller, cases)
+    return standstill_metrics(rollout, config)

@@ -5,7 +5,7 @@ A table is a function of the results, registered by its name in a module of a ki
     @table("ranking")
     def ranking(results: Results) -> pd.DataFrame: ...
 
-The rows of each part are a table too (:data:`~hydro_agents.evaluation.conditions.PARTS`).
+The rows of the jobs are tables too, named by ``parts`` of the protocol.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from functools import cached_property
 from importlib import import_module
 from operator import methodcaller
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.conditions import PARTS, Cell, Protocol, cells_of
+from hydro_agents.evaluation.conditions import Cell, Protocol
 from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.jobs import Job, JobResult, Report, run_jobs
 from hydro_env.files import write_whole
@@ -53,7 +53,7 @@ class Results:
         """The cases of the controllers as arrays."""
         from hydro_agents.evaluation.comparison import Grid  # of controllers alone
 
-        return Grid(self.part("tracking"))
+        return Grid(self.part("cases"))
 
     @property
     def controllers(self) -> list[str]:
@@ -63,12 +63,12 @@ class Results:
     def table(self, name: str) -> pd.DataFrame:
         """A table by the name of its CSV file; it is made once."""
         if name not in self._made:
-            self._made[name] = tables_of(self.protocol.kind)[name](self)
+            self._made[name] = tables_of(self.protocol)[name](self)
         return self._made[name]
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Every table of this kind of protocol by the name of its CSV file; without those that are empty."""
-        made = {name: self.table(name) for name in tables_of(self.protocol.kind)}
+        made = {name: self.table(name) for name in tables_of(self.protocol)}
         return {name: table for name, table in made.items() if not table.empty}
 
     def write(self, folder: Path) -> None:
@@ -131,14 +131,11 @@ def status(results: Results) -> pd.DataFrame:
     return results.status
 
 
-def tables_of(kind: str) -> dict[str, TableFunction]:
-    """Tables of a kind of protocol by name: the rows of its parts, then those that are made of them."""
-    module = import_module(f"{__package__}.{_MODULES[kind]}").__name__
-    tables: dict[str, TableFunction] = {}
-    for name, part in PARTS.items():
-        if part.kind == kind:
-            tables[part.table] = methodcaller("part", name)
-    return {**tables, **_TABLES[__name__], **_TABLES[module]}
+def tables_of(protocol: Protocol[Any]) -> dict[str, TableFunction]:
+    """Tables of a protocol by name: the rows of its jobs, then those that are made of them."""
+    module = import_module(f"{__package__}.{_MODULES[protocol.kind]}").__name__
+    rows: dict[str, TableFunction] = {name: methodcaller("part", name) for name in protocol.parts}
+    return {**rows, **_TABLES[__name__], **_TABLES[module]}
 
 
 def run(
@@ -165,68 +162,50 @@ def run(
         ControllerError: every participant failed in every condition.
         ConfigurationError: a file cannot be written.
     """
-    planned = plan(protocol, chosen)
-    listed = {key: job for each in planned for key, job in each.jobs}
+    cells = list(protocol.cells(chosen))
+    listed: dict[str, Job] = {}
+    keys: list[list[str]] = []
+    for number, cell in enumerate(cells):
+        # Equal jobs have one key and run once: conditions that differ only in their references share standstills.
+        keys.append([job.file if job.digest else f"{number}|{place}" for place, job in enumerate(cell.jobs)])
+        listed |= dict(zip(keys[-1], cell.jobs, strict=True))
     answers, reused = run_jobs(listed, folder, jobs, progress)
-    rows, statuses = collect(planned, answers, protocol.who)
-    if protocol.measured[0] not in rows:
+    rows, statuses = collect(cells, [[answers[key] for key in own] for own in keys], protocol.who)
+    if protocol.parts[0] not in rows:
         reasons = statuses[statuses["message"] != ""].drop_duplicates(protocol.who)
         lines = "; ".join(f"{row[protocol.who]}: {row['message']}" for row in reasons.to_dict("records"))
         raise ControllerError(f"no {protocol.who} ran under any condition; {lines}")
     return Results(protocol, chosen, rows, statuses, reused, facts)
 
 
-class Planned(NamedTuple):
-    """A cell of a part, and its jobs by their keys."""
-
-    part: str
-    cell: Cell
-    jobs: Sequence[tuple[str, Job]]
-
-
-def plan(protocol: Protocol[Any], chosen: Any) -> list[Planned]:
-    """The cells of all parts.
-
-    Equal jobs have one key and run once: conditions that differ only in their references share the search for limit
-    cycles.
-    """
-    planned: list[Planned] = []
-    for part in protocol.measured:
-        for cell in cells_of(part)(protocol, chosen):
-            own = f"{part}|{len(planned)}"
-            jobs = [(job.file if job.digest else f"{own}|{number}", job) for number, job in enumerate(cell.jobs)]
-            planned.append(Planned(part, cell, jobs))
-    return planned
-
-
 def collect(
-    planned: Sequence[Planned], answers: Mapping[str, JobResult], who: str
+    cells: Sequence[Cell], answers: Sequence[Sequence[JobResult]], who: str
 ) -> tuple[dict[str, pd.DataFrame], pd.DataFrame]:
-    """The rows of each part that has some, and what became of every participant under every condition.
+    """The rows of each table that has some, and what became of every participant under every condition.
 
-    A participant that failed in one part has no rows of this condition in the others.
+    A participant that failed in one table has no rows of this condition in the others.
     """
-    failed: dict[tuple[str, str, str], str] = {}  # the first error by part, participant and condition
-    for part, cell, jobs in planned:
-        for key, _ in jobs:
-            if answers[key].error:
-                failed.setdefault((part, cell.participant, cell.condition), answers[key].error)
+    failed: dict[tuple[str, str, str], str] = {}  # the first error by table, participant and condition
+    for cell, own in zip(cells, answers, strict=True):
+        for answer in own:
+            if answer.error:
+                failed.setdefault((cell.table, cell.participant, cell.condition), answer.error)
     without_rows = {key[1:] for key in failed}
     frames: dict[str, list[pd.DataFrame]] = {}
     refused, ran = [], []
-    for part, cell, jobs in planned:
-        error = failed.get((part, cell.participant, cell.condition), "")
+    for cell, own in zip(cells, answers, strict=True):
+        place = cell.participant, cell.condition
         if cell.refused:
-            refused.append((cell.participant, cell.condition, NOT_APPLICABLE, cell.refused))
+            refused.append((*place, NOT_APPLICABLE, cell.refused))
             continue
-        if cell.condition or error:
-            ran.append((cell.participant, cell.condition or part, FAILED if error else DONE, error))
-        if jobs and (cell.participant, cell.condition) not in without_rows:
-            own = [answers[key].metrics for key, _ in jobs]
-            columns = {name: np.concatenate([metrics[name] for metrics in own]) for name in own[0]}
-            frames.setdefault(part, []).append(pd.DataFrame({**cell.known, **columns}))
-    rows = {part: pd.concat(each, ignore_index=True) for part, each in frames.items()}
-    # One row per participant and condition: the first failure if any part failed.
+        error = failed.get((cell.table, *place), "")
+        ran.append((*place, FAILED if error else DONE, error))
+        if own and place not in without_rows:
+            metrics = [answer.metrics for answer in own]
+            columns = {name: np.concatenate([each[name] for each in metrics]) for name in metrics[0]}
+            frames.setdefault(cell.table, []).append(pd.DataFrame({**cell.known, **columns}))
+    rows = {name: pd.concat(each, ignore_index=True) for name, each in frames.items()}
+    # One row per participant and condition: the first failure if any table failed.
     table = pd.DataFrame([*refused, *ran], columns=[who, "condition", "status", "message"])
     table = table.sort_values("message", key=lambda messages: messages == "", kind="stable")
     return rows, table.drop_duplicates([who, "condition"]).sort_index(ignore_index=True)

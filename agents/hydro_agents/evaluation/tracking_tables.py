@@ -22,7 +22,7 @@ def parts_of(results: Results) -> Iterator[tuple[str, str, Mask, Mask]]:
 
     See :meth:`~hydro_agents.evaluation.comparison.Grid.parts`.
     """
-    grid, cases = results.grid, results.part("tracking")
+    grid, cases = results.grid, results.part("cases")
     leaks = cases.loc[cases["group"] == LEAK_GROUP, "condition"].unique()
     return grid.parts(np.isin(grid.condition, leaks) if len(leaks) else grid.all_situations)
 
@@ -78,7 +78,7 @@ def comparison(results: Results) -> pd.DataFrame:
 @table("seeds")
 def seeds(results: Results) -> pd.DataFrame:
     """Each training seed of each controller against the first one, over all cases; empty if none has several."""
-    cases, rows = results.part("tracking"), []
+    cases, rows = results.part("cases"), []
     baseline, *others = results.grid.controllers
     first = cases[cases["controller"] == baseline]
     if cases.groupby("controller")["training_seed"].nunique().max() < 2:
@@ -96,7 +96,7 @@ def seeds(results: Results) -> pd.DataFrame:
 def ranking(results: Results) -> pd.DataFrame:
     """Controllers in the order of their equally weighted ratio, with their costs."""
     grid, compared = results.grid, results.table("comparison")
-    cases, cycles, baseline = results.part("tracking"), results.part("standstill"), grid.controllers[0]
+    cases, cycles, baseline = results.part("cases"), results.part("limit_cycles"), grid.controllers[0]
     if cycles.empty:
         cycles = pd.DataFrame({"controller": [], "limit_cycle": []})
     statuses = results.status[results.status["condition"].isin(list(results.protocol.conditions))]
@@ -134,7 +134,7 @@ def ranking(results: Results) -> pd.DataFrame:
 @table("worst_cases")
 def worst_cases(results: Results) -> pd.DataFrame:
     """The cases with the largest ratio of errors to the baseline; for the baseline, those with its largest errors."""
-    cases, baseline, count = results.part("tracking"), results.grid.controllers[0], results.protocol.worst
+    cases, baseline, count = results.part("cases"), results.grid.controllers[0], results.protocol.worst
     where = ["condition", "family", "leakage_flow_lpm", "plant", "seed"]
     base = cases[cases["controller"] == baseline].groupby(where, sort=False)[ERROR].mean().rename("baseline_error_mm")
     joined = cases.join(base, on=where)
@@ -151,8 +151,8 @@ def worst_cases(results: Results) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-@table("limit_cycle_summary", of="standstill")
+@table("limit_cycle_summary", of="limit_cycles")
 def limit_cycle_summary(results: Results) -> pd.DataFrame:
     """Number and largest amplitude of the limit cycles at rest, per controller."""
-    groups = results.part("standstill").groupby("controller", sort=False)
+    groups = results.part("limit_cycles").groupby("controller", sort=False)
     return pd.DataFrame([{"controller": name, **counted(own)} for name, own in groups])

@@ -10,26 +10,22 @@ from __future__ import annotations
 import hashlib
 import inspect
 import io
-import os
 import random
 import sys
 import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
-from threading import Thread
-from time import sleep
-from typing import Any
+from typing import Any, NamedTuple
 
 import joblib
 import numpy as np
 from joblib import Parallel, cpu_count, delayed, parallel_config
-from joblib.parallel import get_active_backend
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
@@ -39,9 +35,6 @@ from hydro_env.files import write_whole
 
 JOBS_FOLDER = "jobs"
 RESULT_FILES = f"{JOBS_FOLDER}/*.npz"
-ROOMS = tuple(f"hydro_agents/{room}" for room in ("controllers", "running", "learning", "detection", "evaluation"))
-"""Rooms whose code may change the result of a job, besides those of the package of the rig."""
-
 _KILLED = ("TerminatedWorkerError", "BrokenProcessPool")  # the errors of loky, by name
 
 Columns = dict[str, NDArray[Any]]  # numbers by name, arrays of any shape
@@ -51,25 +44,15 @@ Report = Callable[[str, int, int], None]
 
 @contextmanager
 def workers(jobs: int | None = None) -> Iterator[None]:
-    """Run all jobs of a block in some processes of this machine; ``None``: one per core."""
-    with parallel_config("loky", n_jobs=jobs or cpu_count(), initializer=_begin, initargs=(os.getpid(),)):
+    """Run all jobs of a block in some processes of this machine; ``None``: one per core.
+
+    Ctrl-C is left to this process.
+    """
+    with parallel_config("loky", n_jobs=jobs or cpu_count(), initializer=signal, initargs=(SIGINT, SIG_IGN)):
         yield
 
 
-def _begin(command: int) -> None:
-    """Leave Ctrl-C to the process that started this worker, and end with it: one that was killed says nothing."""
-
-    def watch() -> None:
-        while os.getppid() == command:
-            sleep(1.0)
-        os._exit(1)
-
-    signal(SIGINT, SIG_IGN)
-    Thread(target=watch, daemon=True).start()
-
-
-@dataclass(frozen=True)
-class JobResult:
+class JobResult(NamedTuple):
     """What a job found, or the reason why it found nothing."""
 
     metrics: Columns
@@ -104,7 +87,7 @@ class Job:
         """Digest of the code that may change the result; of the package of the rig, if work or participant are its."""
         makers = (self.work, self.participant, *type(self.participant).__mro__)
         of_the_rig = any(str(getattr(maker, "__module__", "")).startswith("hydro_rig.") for maker in makers)
-        return digest_of_code(*ROOMS, *(["hydro_rig/*"] if of_the_rig else []))
+        return digest_of_code("hydro_agents", *(["hydro_rig"] if of_the_rig else []))
 
     @cached_property
     def file(self) -> str:
@@ -122,31 +105,28 @@ class Job:
 
 
 @cache
-def digest_of_code(*rooms: str) -> str:
-    """Digest of the compiled plant and of some rooms, such as ``hydro_agents/running``: results depend on them."""
+def digest_of_code(*packages: str) -> str:
+    """Digest of the compiled plant and of some packages: results depend on them."""
     digest = hashlib.sha256(str(SOURCES).encode())
-    for room in rooms:
-        for file in sorted(Path(__file__).resolve().parents[2].glob(f"{room}/*.py")):
+    for package in packages:
+        for file in sorted((Path(__file__).resolve().parents[2] / package).rglob("*.py")):
             digest.update(file.read_bytes())
     return digest.hexdigest()
 
 
-def fingerprint(*participants: Any) -> str:
-    """Digest of the numbers of objects and of the files of their classes; empty if one cannot be pickled.
+def fingerprint(participant: Any) -> str:
+    """Digest of the numbers of an object and of the file of its class; empty if it cannot be pickled.
 
     Finished work of a participant with another digest is not reused.
     """
-    digests = []
-    for participant in participants:
-        source = b""
-        with suppress(OSError, TypeError):
-            made_in = participant if inspect.isfunction(participant) else type(participant)
-            source = Path(inspect.getfile(made_in)).read_bytes()
-        try:
-            digests.append(joblib.hash((str(joblib.hash(participant)), source)))
-        except Exception:  # a user's object may raise anything
-            return ""
-    return "".join(digests)
+    source = b""
+    with suppress(OSError, TypeError):
+        made_in = participant if inspect.isfunction(participant) else type(participant)
+        source = Path(inspect.getfile(made_in)).read_bytes()
+    try:
+        return str(joblib.hash((joblib.hash(participant), source)))
+    except Exception:  # a user's object may raise anything
+        return ""
 
 
 def run_jobs(
@@ -168,24 +148,20 @@ def run_jobs(
     Raises:
         ConfigurationError: a file cannot be written, or a worker was killed.
     """
-    results: dict[str, JobResult] = {}
-    waiting = dict(listed)
-    if folder is not None:
-        for key, job in listed.items():
-            stored = load_result(folder / JOBS_FOLDER / job.file) if job.digest else None
-            if stored is not None:
-                results[key] = stored
-                del waiting[key]
-    reused = len(results)
-    mixed = list(waiting)
-    random.Random(0).shuffle(mixed)
     report = progress or (lambda *_: None)
+    results: dict[str, JobResult] = {}
+    for key, job in listed.items():
+        stored = load_result(folder, job)
+        if stored is not None:
+            results[key] = stored
+    reused = len(results)
+    mixed = [key for key in listed if key not in results]
+    random.Random(0).shuffle(mixed)
     report("jobs", reused, len(listed))
-    with _closed_at_end(answers_of({key: waiting[key] for key in mixed}, jobs)) as answers:
+    with closing(answers_of({key: listed[key] for key in mixed}, jobs)) as answers:
         for key, result in answers:
             results[key] = result
-            if folder is not None and listed[key].digest:
-                save_result(folder / JOBS_FOLDER / listed[key].file, result)
+            save_result(folder, listed[key], result)
             report("jobs", len(results), len(listed))
     return results, reused
 
@@ -211,14 +187,11 @@ def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[
         yield _run_alone(key, waiting[key])
     if not left:
         return
-    # A cluster has as many jobs under way as it has cores; what is sent to it can be fewer.
-    limit = jobs or get_active_backend()[1]
-    sent = {"pre_dispatch": limit} if limit and limit > 0 else {}
-    pool: Any = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered", **sent)
+    pool: Any = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")
+    answers = pool(delayed(_run_alone)(key, job) for key, job in left.items())
     try:
-        with _closed_at_end(pool(delayed(_run_alone)(key, job) for key, job in left.items())) as answers:
-            for answer in answers:  # noqa: UP028 (`yield from` would close the answers before the warning is off)
-                yield answer
+        for answer in answers:  # noqa: UP028 (`yield from` would close the answers before the warning is off)
+            yield answer
     except Exception as error:
         if type(error).__name__ not in _KILLED:
             raise
@@ -226,15 +199,8 @@ def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[
             "a worker process was killed (for its memory?); the finished results are kept: "
             "go on with --resume and a smaller --jobs"
         ) from None
-
-
-@contextmanager
-def _closed_at_end(answers: Generator[Any, None, None]) -> Iterator[Generator[Any, None, None]]:
-    """Cancel what is still under way when the block ends, without the warning in which joblib counts it."""
-    try:
-        yield answers
     finally:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings():  # joblib counts what it cancels
             warnings.simplefilter("ignore", UserWarning)
             answers.close()
 
@@ -259,33 +225,33 @@ def run_here(job: Job, folder: Path | None) -> Columns:
     Raises:
         ConfigurationError: that of the job, or a file cannot be written.
     """
-    if folder is None:
-        return job.work(job.participant, *job.arguments)
-    file = folder / JOBS_FOLDER / job.file
-    stored = load_result(file)
-    if stored is None:
-        stored = JobResult(job.work(job.participant, *job.arguments))
-        save_result(file, stored)
-    return stored.metrics
+    result = load_result(folder, job)
+    if result is None:
+        result = job.run()
+        save_result(folder, job, result)
+    if result.error:
+        raise ConfigurationError(result.error)
+    return result.metrics
 
 
-def save_result(path: Path, result: JobResult) -> None:
-    """Write a result atomically; an error is none.
+def save_result(folder: Path | None, job: Job, result: JobResult) -> None:
+    """Write a result atomically into :data:`JOBS_FOLDER`, if it is one that is kept.
 
     Raises:
         ConfigurationError: the file cannot be written.
     """
-    if result.error:
-        return
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **result.metrics)
-    write_whole(path, content.getvalue())
+    if folder is not None and job.digest and not result.error:
+        content = io.BytesIO()
+        np.savez(content, allow_pickle=False, **result.metrics)
+        write_whole(folder / JOBS_FOLDER / job.file, content.getvalue())
 
 
-def load_result(path: Path) -> JobResult | None:
+def load_result(folder: Path | None, job: Job) -> JobResult | None:
     """Read the result of a job; ``None`` if there is none, or the file is damaged."""
+    if folder is None or not job.digest:
+        return None
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with np.load(folder / JOBS_FOLDER / job.file, allow_pickle=False) as stored:
             return JobResult({name: stored[name] for name in stored.files})
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None

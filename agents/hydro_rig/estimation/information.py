@@ -78,9 +78,8 @@ def steps_at(model: Model, scaled: Floats) -> Floats:
     return np.asarray(steps[:, :, None] * np.eye(len(model.simulated)))
 
 
-def leak_bound(protocol: LeakProtocol, chosen: object) -> Iterator[Cell]:
-    """The part ``leak_bound``: the bound of some windows of the conditions that a protocol names."""
-    del chosen
+def leak_bound(protocol: LeakProtocol) -> Iterator[Cell]:
+    """The bound of some windows of the conditions that a protocol names."""
     for name in protocol.bound_conditions:
         condition, config = protocol.conditions[name], protocol.task_in(name)
         begin = 0.0 if condition.begins == "at rest" else condition.duration
@@ -90,7 +89,7 @@ def leak_bound(protocol: LeakProtocol, chosen: object) -> Iterator[Cell]:
                 cases = protocol.cases_in(name, level, protocol.bound_windows)
                 arguments = (config, protocol.known_task(name), condition.acting, *times, cases)
                 job = Job(bound_of_windows, None, arguments, digest="bound")
-                yield Cell("bound", name, {"condition": name, "level": level}, (job,))
+                yield Cell("bound", "bound", name, {"condition": name, "level": level}, (job,))
 
 
 def bound_of_windows(

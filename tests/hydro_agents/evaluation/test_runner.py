@@ -26,19 +26,19 @@ def alone():
 
 
 def assert_same(results, other):
-    pd.testing.assert_frame_equal(results.part("tracking"), other.part("tracking"), check_exact=True)
-    pd.testing.assert_frame_equal(results.part("standstill"), other.part("standstill"), check_exact=True)
+    pd.testing.assert_frame_equal(results.part("cases"), other.part("cases"), check_exact=True)
+    pd.testing.assert_frame_equal(results.part("limit_cycles"), other.part("limit_cycles"), check_exact=True)
     pd.testing.assert_frame_equal(results.status, other.status)
 
 
 def test_every_case_has_its_row(alone):
-    assert len(alone.part("tracking")) == 2 * 2 * 12
-    assert set(METRICS) <= set(alone.part("tracking").columns)
+    assert len(alone.part("cases")) == 2 * 2 * 12
+    assert set(METRICS) <= set(alone.part("cases").columns)
     assert (alone.status["status"] == DONE).all()
-    assert len(alone.part("standstill")) == 2 * 2 * 3
+    assert len(alone.part("limit_cycles")) == 2 * 2 * 3
     direct = run_cases(small().task, Proportional(), small().cases_of("plain", small().cases_in("plain")))
     error = 1e3 * np.abs(direct.reference.astype(np.float64) - direct.position).mean(axis=1)
-    own = alone.part("tracking").query("controller == 'P' and condition == 'plain'")
+    own = alone.part("cases").query("controller == 'P' and condition == 'plain'")
     np.testing.assert_allclose(own["mean_error_mm"], error, rtol=1e-12)
 
 
@@ -75,14 +75,14 @@ class Fussy(Proportional):
 
 def test_a_controller_that_fails_loses_what_it_fails_under_alone():
     results = run(small(), Participants({"P": Proportional(), "mine": Broken()}), jobs=1)
-    assert set(results.part("tracking")["controller"]) == {"P"}
+    assert set(results.part("cases")["controller"]) == {"P"}
     assert results.status.set_index(["controller", "condition"]).loc[("mine", "plain"), "status"] == FAILED
     assert results.errors[0].startswith("mine under plain: seed 22")
     assert "predict returned nan" in results.errors[0]
     assert all("\n" not in error for error in results.errors)
     conditions = {"plain": {}, "few": {"plants": 4, "leak_levels": [0.03], "families": ["step", "sine"]}}
     results = run(small(conditions=conditions, chunk=6), Participants({"P": Proportional(), "fussy": Fussy()}), jobs=1)
-    assert set(results.part("tracking").query("controller == 'fussy'")["condition"]) == {"plain"}
+    assert set(results.part("cases").query("controller == 'fussy'")["condition"]) == {"plain"}
     (error,) = results.errors
     assert "fussy under few" in error
     assert "RuntimeError: two axes are too few" in error
@@ -91,7 +91,7 @@ def test_a_controller_that_fails_loses_what_it_fails_under_alone():
 def test_a_condition_that_cannot_begin_is_told_and_the_others_stay():
     conditions = {"plain": {}, "bent": {"parameters": {"load.external_force": 9e4}}}
     results = run(small(conditions=conditions), Participants({"P": Proportional()}), jobs=1)
-    assert set(results.part("tracking")["condition"]) == {"plain"}
+    assert set(results.part("cases")["condition"]) == {"plain"}
     assert "P under bent: the condition cannot begin:" in results.errors[0]
 
 
@@ -115,7 +115,7 @@ def test_other_periods_and_rigs_need_controllers_of_their_own():
     choice = {"PID": {"proportional": 15.0}}
     named = small(conditions={"plain": {}, "slow": {**conditions["slow"], "controllers": choice}})
     ready = participants({"PID": "pid"}, named)
-    assert set(run(named, ready, jobs=1).part("tracking")["condition"]) == {"plain", "slow"}
+    assert set(run(named, ready, jobs=1).part("cases")["condition"]) == {"plain", "slow"}
     assert ready.of("PID", "slow", named).gains.proportional == 15.0
     assert ready.of("PID", "slow", named).layout.control_period == 0.01
     assert ready.of("PID", "plain", named).layout.control_period == 0.005
@@ -123,7 +123,7 @@ def test_other_periods_and_rigs_need_controllers_of_their_own():
 
 def test_a_case_can_be_run_again(alone):
     protocol, chosen = small(**ROOM), two()
-    rows = alone.part("tracking")[alone.part("tracking")["condition"] == "late"].iloc[-1:]
+    rows = alone.part("cases")[alone.part("cases")["condition"] == "late"].iloc[-1:]
     controller = chosen.of(rows["controller"].iloc[0], "late", protocol)
     rollout = run_cases(protocol.task_in("late"), controller, protocol.cases_of("late", rows))
     error = 1e3 * np.abs(rollout.reference.astype(np.float64) - rollout.position).mean()

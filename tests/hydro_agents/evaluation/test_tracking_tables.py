@@ -44,7 +44,7 @@ def results_of(cases, corrects=()):
             "failed": 0.0,
         }
     )
-    parts = {"tracking": cases, "standstill": cycles}
+    parts = {"cases": cases, "limit_cycles": cycles}
     return Results(small(worst=3), Participants({}, corrects=dict(corrects)), parts, status)
 
 

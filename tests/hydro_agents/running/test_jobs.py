@@ -12,7 +12,7 @@ from joblib import effective_n_jobs, parallel_config
 from refusal import refused
 
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.evaluation.tracking import tracked
+from hydro_agents.evaluation.robustness_protocol import tracked
 from hydro_agents.learning.trials import costs_of
 from hydro_agents.running import jobs
 from hydro_agents.running.jobs import JOBS_FOLDER, Job, answers_of, run_here, run_jobs, workers
@@ -91,10 +91,10 @@ def test_after_a_killed_worker_finished_results_are_not_computed_again(tmp_path,
 
 def test_a_job_of_the_rig_package_follows_its_code_too(monkeypatch):
     estimator = pytest.importorskip("hydro_rig.estimation.estimator").EstimatorDetector({})
-    monkeypatch.setattr(jobs, "digest_of_code", lambda *rooms: rooms)
+    monkeypatch.setattr(jobs, "digest_of_code", lambda *packages: packages)
     for job in (Job(costs_of), Job(tracked, make_controller("pid", TaskConfig())), Job(root)):
-        assert job.code == jobs.ROOMS, job
-    assert Job(tracked, estimator).code == (*jobs.ROOMS, "hydro_rig/*")
+        assert job.code == ("hydro_agents",), job
+    assert Job(tracked, estimator).code == ("hydro_agents", "hydro_rig")
 
 
 def test_a_number_of_jobs_that_cannot_be_is_told_in_one_line():
