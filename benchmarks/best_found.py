@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benchmarks import command_line
 from hydro_agents.evaluation.evaluate import evaluate
 from hydro_agents.evaluation.metrics import ERROR, ERROR_SENSOR
-from hydro_agents.study.settings import default_study
+from hydro_agents.evaluation.study import default_study
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients

@@ -26,13 +26,13 @@ import numpy as np
 import pandas as pd
 
 from benchmarks import command_line
+from hydro_agents.evaluation.study import default_study
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_env, make_features, make_model
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.machine import machine_description, package_versions
 from hydro_agents.running.text import markdown
-from hydro_agents.study.settings import default_study
 from hydro_env import ENVIRONMENT_ID, ServoHydraulicVectorEnv
 from hydro_env.files import write_text
 from hydro_env.plant import kernel

@@ -15,7 +15,7 @@ with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
     main()
 print(json.dumps(sorted(sys.modules)))
 """
-LEARNING = ("torch", "stable_baselines3", "hydro_agents.learning.training", "hydro_agents.study")
+LEARNING = ("torch", "stable_baselines3", "hydro_agents.learning.training", "hydro_agents.evaluation.study")
 """What only a training needs."""
 
 

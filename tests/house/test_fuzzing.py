@@ -16,8 +16,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hydro_agents.evaluation.study import StudySettings
 from hydro_agents.running.folders import config_folder
-from hydro_agents.study.settings import StudySettings
 from hydro_env import (
     HydroError,
     PlantParameters,

@@ -25,7 +25,6 @@ ROOMS = (
     "hydro_agents/evaluation/",
     "hydro_agents/report/",
     "hydro_agents/rigs/",
-    "hydro_agents/study/",
     "hydro_agents/",
     "hydro_rig/estimation/",
     "hydro_rig/recordings/",
@@ -172,7 +171,7 @@ def test_nothing_installed_imports_what_is_not():
             HEAVY | {"pygame", "scipy.integrate"},
         ),
         (
-            "from hydro_agents.study.settings import default_study;default_study().with_weights({})",
+            "from hydro_agents.evaluation.study import default_study;default_study().with_weights({})",
             {"torch", "stable_baselines3"},  # an evaluation with shipped policies needs no library of the training
         ),
         (

@@ -214,9 +214,9 @@ def try_task() -> None:
 
 def try_agents() -> None:
     from hydro_agents import evaluate
+    from hydro_agents.evaluation.study import StudySettings
+    from hydro_agents.evaluation.study_run import train_controller
     from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.study.settings import StudySettings
-    from hydro_agents.study.training import train_controller
 
     study = StudySettings.from_yaml("configs/studies/quick.yaml")
     assert list(study.controllers) == ["PID", "damped", "Flow linearisation", "PPO on flow linearisation", "TD3"]

@@ -8,10 +8,10 @@ from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinea
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.evaluation.evaluate import ProtocolSettings
+from hydro_agents.evaluation.study import default_study
 from hydro_agents.learning.loading import load_controller, shipped
 from hydro_agents.running.cases import Cases, family_errors, run_cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
-from hydro_agents.study.settings import default_study
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 

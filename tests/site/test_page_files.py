@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
+from hydro_agents.evaluation.study import StudySettings
 from hydro_agents.learning.loading import load_controller
-from hydro_agents.study.settings import StudySettings
 from hydro_env import PlantParameters, ServoHydraulicEnv, TaskConfig, simulate
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.plant.workable import refuse_unworkable

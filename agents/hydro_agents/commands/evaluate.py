@@ -18,6 +18,7 @@ from hydro_agents.commands.options import (
     Task,
     named_agents,
     tell_rigs,
+    working_in,
 )
 from hydro_env import ConfigurationError
 
@@ -145,8 +146,7 @@ def _refuse_with_law(options: dict[str, object]) -> None:
 def _evaluate_on_drawn_rigs(law: dict[str, Any], agents: dict[str, str], plants: int | None, options: Options) -> None:
     """Run agents and untuned flow linearisation on rigs of the test split."""
     from hydro_agents.evaluation.drawn_rigs import PLANTS, on_drawn_rigs, summary
-    from hydro_agents.running.console import ProgressDisplay, console_table
-    from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.console import console_table
     from hydro_agents.running.jobs import RESULT_FILES
     from hydro_agents.running.text import Table
     from hydro_env.files import write_whole
@@ -154,10 +154,7 @@ def _evaluate_on_drawn_rigs(law: dict[str, Any], agents: dict[str, str], plants:
 
     drawn = task_config(options.task, law=law | {"split": "test", "count": TEST_RIGS})
     writes = [RESULT_FILES, "rigs.csv"]
-    with (
-        output_folder(options.output, "evaluate", writes, resume=options.resume, overwrite=options.overwrite),
-        ProgressDisplay() as display,
-    ):
+    with working_in(options.output, "evaluate", writes, options.resume, options.overwrite) as display:
         rows = on_drawn_rigs(drawn, agents, plants or PLANTS, options.output, display.update)
         write_whole(options.output / "rigs.csv", rows.to_csv(index=False).encode())
     header = ("agent", "rigs", "error ÷ untuned, median (95 %)", "geometric mean", "better on", "range", "failures")
@@ -168,8 +165,6 @@ def _evaluate_on_drawn_rigs(law: dict[str, Any], agents: dict[str, str], plants:
 
 def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: int | None, options: Options) -> None:
     """Run a protocol, or the evaluation of a study; agents replace controllers of the study by their names."""
-    from dataclasses import replace
-
     import yaml
 
     from hydro_agents.commands.controller_pages import robustness_page, study_page
@@ -177,7 +172,7 @@ def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: i
     from hydro_agents.evaluation.evaluate import ProtocolSettings
     from hydro_agents.evaluation.participants import participants
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-    from hydro_agents.study.settings import StudySettings, default_study
+    from hydro_agents.evaluation.study import StudySettings, default_study
     from hydro_env.files import Group, validate
     from hydro_env.folders import config_file
 
@@ -197,5 +192,4 @@ def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: i
         page = study_page(yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False, allow_unicode=True))
     controllers = study.with_weights(agents, leave_out=options.file is None)
     tell_rigs(study, controllers)
-    chosen = replace(participants(controllers, protocol), corrects=study.corrects)
-    run_protocol(protocol, chosen, options, page, settings)
+    run_protocol(protocol, participants(controllers, protocol, study.corrects), options, page, settings)

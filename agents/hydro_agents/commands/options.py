@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +16,8 @@ from hydro_env.folders import config_file
 
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
-    from hydro_agents.study.settings import StudySettings
+    from hydro_agents.evaluation.study import StudySettings
+    from hydro_agents.running.console import ProgressDisplay
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
 Seed = Annotated[
@@ -106,6 +108,22 @@ def check_new_file(output: Path, overwrite: bool) -> None:
         raise ConfigurationError(f"{output}: is a folder; --output needs a file")
     if output.exists() and not overwrite:
         raise ConfigurationError(f"{output}: exists; --overwrite replaces it, --output takes another file")
+
+
+@contextmanager
+def working_in(
+    folder: Path, job: str, writes: Sequence[str], resume: bool, overwrite: bool
+) -> Iterator[ProgressDisplay]:
+    """Claim a folder for the files of a command (:func:`~hydro_agents.running.folders.output_folder`), show progress.
+
+    Raises:
+        ConfigurationError: the folder cannot be used.
+    """
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import output_folder
+
+    with output_folder(folder, job, writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+        yield display
 
 
 def command_line() -> str:

@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from hydro_agents.commands.options import command_line
+from hydro_agents.commands.options import command_line, working_in
 from hydro_agents.evaluation.conditions import Protocol, file_sha256
 from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.report.kit import Page
 from hydro_agents.running.console import ProgressDisplay, console_table
-from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.machine import Origin, date_now, machine_description, package_versions
 from hydro_agents.running.tasks import timed_task
@@ -107,10 +106,7 @@ def run_protocol(protocol: Protocol[Any], chosen: Any, options: Options, page: P
     if options.file is not None:
         file, facts = "protocol.yaml", facts_of(file=str(options.file), file_sha256=file_sha256(options.file))
     writes = [file, RESULT_FILES, *page.files]
-    with (
-        output_folder(output, "evaluate", writes, resume=options.resume, overwrite=options.overwrite),
-        ProgressDisplay() as display,
-    ):
+    with working_in(output, "evaluate", writes, options.resume, options.overwrite) as display:
         write_yaml(output / file, settings.model_dump(mode="json"))
         results = run(protocol, chosen, output, None, display.update, facts)
         page.write(results, output, display)

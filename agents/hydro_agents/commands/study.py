@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from functools import partial
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -24,17 +23,17 @@ from hydro_agents.commands.options import (
     named_agents,
     say,
     tell_rigs,
+    working_in,
 )
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import did_you_mean
 
 if TYPE_CHECKING:
     from hydro_agents.evaluation.runner import Results
+    from hydro_agents.evaluation.study import StudySettings
     from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.study.settings import StudySettings
 
-    Claim = Callable[[str, Sequence[str], Sequence[str]], AbstractContextManager[ProgressDisplay]]
-    """Claims the folder of a training: its part, the files that it writes, and those from which it can resume."""
+HEAD_WEIGHTS = "leakage_head"
 
 
 def study(
@@ -62,8 +61,8 @@ def study(
     With `--rig` the task is adapted to another rig: references, sensors and reward follow from its stroke, speed and
     pressure. Gains belong to a rig; the command therefore tunes the classical controllers first.
     """
+    from hydro_agents.evaluation.study import default_study
     from hydro_agents.running.jobs import workers
-    from hydro_agents.study.settings import default_study
 
     settings = default_study(config, task, rig)
     first = settings.seed if seed is None else seed
@@ -83,12 +82,12 @@ def whole_study(
     """
     from hydro_agents.commands.controller_pages import study_page
     from hydro_agents.commands.protocols import facts_of
-    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.evaluation.study_run import CONFIG_FILE, files_of, run_study
     from hydro_agents.running.jobs import JOBS_FOLDER
-    from hydro_agents.study.run import CONFIG_FILE, claimed, run_study
 
     study.check()
-    with claimed(study, folder, seeds, study_page("").files, resume, overwrite), ProgressDisplay() as display:
+    writes = [*files_of(study, seeds), *study_page("").files]
+    with working_in(folder, "study", writes, resume, overwrite) as display:
         results = run_study(study, folder, seeds, display, facts_of(seed=str(seeds[0])))
         page = study_page((folder / CONFIG_FILE).read_text(encoding="utf-8"))
         page.write(results, folder, display)
@@ -131,46 +130,73 @@ def train(
     the classical one first.
     """
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.running.jobs import workers
-    from hydro_agents.study.settings import default_study
+    from hydro_agents.evaluation.study import default_study
+    from hydro_agents.evaluation.study_run import CHECKPOINTS
+    from hydro_agents.running.jobs import JOBS_FOLDER, RESULT_FILES, workers
 
     study = default_study(config, task, rig)
-    seed = study.seed if seed is None else seed
-    part = what.lower()
-    if steps is not None and part == "head":
+    name = what.lower()
+    if steps is not None and name == "head":
         raise ConfigurationError("--steps: does not apply to hydro train head")
-    if agent is not None and part != "head":
-        raise ConfigurationError(f"--agent: does not apply to hydro train {part}")
+    if agent is not None and name != "head":
+        raise ConfigurationError(f"--agent: does not apply to hydro train {name}")
     with workers(jobs):
-        claim = partial(_claimed, output, resume=resume, overwrite=overwrite)
-        if part == "head":
-            file = _head(study, output, seed, named_agents(agent), claim)
-        elif part in CONTROLLERS:
-            file = _gains(_of_gains(study, part, steps), part, output, seed, claim)
+        if name == "head":
+            part = _head(study, named_agents(agent))
+        elif name in CONTROLLERS:
+            part = _gains(study, name, steps)
         else:
-            file = _controller(*_named(study, what, steps), output, seed, claim)
-    say(f"written: {output / file}")
+            part = _controller(study, what, steps)
+        if resume and not any(file for pattern in (CHECKPOINTS, RESULT_FILES) for file in output.glob(pattern)):
+            raise ConfigurationError(f"{output}: nothing to resume; leave --resume out")
+        with working_in(output, f"train {part.name}", part.files, resume, overwrite) as display:
+            part.work(output, study.seed if seed is None else seed, display)
+            shutil.rmtree(output / JOBS_FOLDER, ignore_errors=True)
+    say(f"written: {output / part.written}")
 
 
-@contextmanager
-def _claimed(
-    folder: Path, part: str, files: Sequence[str], kept: Sequence[str], resume: bool, overwrite: bool
-) -> Iterator[ProgressDisplay]:
-    """The folder of a training for its files; without one of those ``kept`` none can be resumed."""
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import output_folder
-    from hydro_agents.running.jobs import JOBS_FOLDER
+class _Part(NamedTuple):
+    """A part of a study that is trained alone."""
 
-    if resume and not any(file for pattern in kept for file in folder.glob(pattern)):
-        raise ConfigurationError(f"{folder}: nothing to resume; leave --resume out")
-    claimed = output_folder(folder, f"train {part}", files, resume=resume, overwrite=overwrite)
-    with claimed, ProgressDisplay() as display:
-        yield display
-        shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
+    name: str
+    written: str  # its result
+    files: Sequence[str]  # that it may write
+    work: Callable[[Path, int, ProgressDisplay], object]  # in a folder, with a seed
 
 
-def _named(study: StudySettings, what: str, steps: int | None) -> tuple[StudySettings, str]:
-    """The study with another length of a training, and the trained controller by its name or, if it is alone, kind."""
+def _controller(study: StudySettings, what: str, steps: int | None) -> _Part:
+    """The training of a controller; gains of the rig for the one that it corrects are tuned first."""
+    from hydro_agents.controllers.registry import GAINS_FILE
+    from hydro_agents.evaluation.study_run import TRAINING_FILES, WEIGHTS, train_controller, tune_controller
+    from hydro_agents.running.jobs import RESULT_FILES
+    from hydro_env.files import validate
+
+    name = _trained(study, what)
+    entry = study.controllers[name]
+    if steps is not None:
+        longer = validate(type(entry.settings), {**entry.settings.model_dump(), "total_steps": steps}, "--steps")
+        entry = entry.changed(settings=longer)
+        study = study.model_copy(update={"controllers": study.controllers | {name: entry}})
+    corrected = entry.corrects
+    if corrected in study.trained:
+        raise ConfigurationError(f"{name} corrects {corrected}, which must be trained first; run hydro study")
+    one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis
+    tuned = one_rig and corrected in study.tuned
+
+    def work(folder: Path, seed: int, display: ProgressDisplay) -> None:
+        base = None
+        if corrected is not None and tuned:
+            base = tune_controller(study, corrected, folder / GAINS_FILE, folder, seed, display)
+        elif corrected is not None:
+            base = study.make(corrected)
+        train_controller(study, name, folder, seed, base, display)
+
+    files = (*TRAINING_FILES, GAINS_FILE, RESULT_FILES) if tuned else TRAINING_FILES
+    return _Part(name, f"{WEIGHTS}.safetensors", files, work)
+
+
+def _trained(study: StudySettings, what: str) -> str:
+    """The trained controller of a study by its name or, if it is alone, kind."""
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.trainers import TRAINERS
 
@@ -179,7 +205,7 @@ def _named(study: StudySettings, what: str, steps: int | None) -> tuple[StudySet
     for name, kind in zip(study.trained, kinds, strict=True):
         alone = kinds.count(kind) == 1
         if what.lower() == name.lower() or (alone and what.lower() == kind):
-            return study if steps is None else _with_steps(study, name, steps), name
+            return name
         known.append(kind if alone and kind in TRAINERS else name.lower())
     known += ["head", *CONTROLLERS]
     raise ConfigurationError(
@@ -187,62 +213,38 @@ def _named(study: StudySettings, what: str, steps: int | None) -> tuple[StudySet
     )
 
 
-def _with_steps(study: StudySettings, name: str, steps: int) -> StudySettings:
-    """The study with another length of a training."""
-    from hydro_env.files import validate
-
-    entry = study.controllers[name]
-    settings = validate(type(entry.settings), {**entry.settings.model_dump(), "total_steps": steps}, "--steps")
-    return study.model_copy(update={"controllers": study.controllers | {name: entry.changed(settings=settings)}})
-
-
-def _of_gains(study: StudySettings, kind: str, steps: int | None) -> StudySettings:
-    """A study that tunes one classical controller for the task of another one; each family has the same weight."""
+def _gains(study: StudySettings, kind: str, steps: int | None) -> _Part:
+    """The tuning of one classical controller for the task of a study; each family has the same weight."""
+    from hydro_agents.evaluation.study import StudySettings
+    from hydro_agents.evaluation.study_run import tune_controller
     from hydro_agents.learning.tuning import EVALUATIONS
-    from hydro_agents.study.settings import StudySettings as Study
+    from hydro_agents.running.jobs import RESULT_FILES
     from hydro_env.files import validate
 
     entry = {"kind": kind, "tune": {"evaluations": steps or EVALUATIONS}}
-    return validate(Study, {"task": study.task, "controllers": {kind: entry}}, "train")
+    alone, file = validate(StudySettings, {"task": study.task, "controllers": {kind: entry}}, "train"), f"{kind}.yaml"
+
+    def work(folder: Path, seed: int, display: ProgressDisplay) -> None:
+        tune_controller(alone, kind, folder / file, folder, seed, display)
+
+    return _Part(kind, file, (file, RESULT_FILES), work)
 
 
-def _controller(study: StudySettings, name: str, folder: Path, seed: int, claim: Claim) -> str:
-    """Train a controller; gains of the rig for the one that it corrects are tuned first."""
-    from hydro_agents.controllers.registry import GAINS_FILE
+def _head(study: StudySettings, agents: dict[str, str]) -> _Part:
+    """The training of the leakage head on episodes under each controller."""
     from hydro_agents.running.jobs import RESULT_FILES
-    from hydro_agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS, train_controller, tune_controller
-
-    entry = study.controllers[name]
-    if entry.corrects in study.trained:
-        raise ConfigurationError(f"{name} corrects {entry.corrects}, which must be trained first; run hydro study")
-    base = None if entry.corrects is None else study.make(entry.corrects)
-    one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis
-    tuned = one_rig and entry.corrects in study.tuned
-    files = (*TRAINING_FILES, GAINS_FILE, RESULT_FILES) if tuned else TRAINING_FILES
-    with claim(name, files, (CHECKPOINTS, RESULT_FILES)) as display:
-        if entry.corrects is not None and tuned:
-            base = tune_controller(study, entry.corrects, folder / GAINS_FILE, folder, seed, display)
-        train_controller(study, name, folder, seed, base, display)
-    return f"{WEIGHTS}.safetensors"
-
-
-def _head(study: StudySettings, folder: Path, seed: int, agents: dict[str, str], claim: Claim) -> str:
-    from hydro_agents.running.jobs import RESULT_FILES
-    from hydro_agents.study.training import HEAD_WEIGHTS, train_leakage_head
 
     study.leakage_head.check(study.task)
     named = study.with_weights(agents) if study.leakage_head.law is None else {}
     tell_rigs(study, named)
-    with claim("head", [f"{HEAD_WEIGHTS}.*", RESULT_FILES], [RESULT_FILES]) as display:
-        train_leakage_head(study, folder, seed, list(named.values()), display)
-    return f"{HEAD_WEIGHTS}.safetensors"
 
+    def work(folder: Path, seed: int, display: ProgressDisplay) -> None:
+        from hydro_agents.detection.head_training import train_head  # loads torch
 
-def _gains(study: StudySettings, kind: str, folder: Path, seed: int, claim: Claim) -> str:
-    from hydro_agents.running.jobs import RESULT_FILES
-    from hydro_agents.study.training import tune_controller
+        def report(phase: str, done: int, total: int, loss: float) -> None:
+            display.update(f"leakage head, {phase}", done, total, "" if math.isnan(loss) else f"loss {loss:.4f}")
 
-    file = f"{kind}.yaml"
-    with claim(kind, [file, RESULT_FILES], [RESULT_FILES]) as display:
-        tune_controller(study, kind, folder / file, folder, seed, display)
-    return file
+        head = train_head(study.task, list(named.values()), study.leakage_head, seed, report, folder)
+        head.save(folder / HEAD_WEIGHTS)
+
+    return _Part("head", f"{HEAD_WEIGHTS}.safetensors", (f"{HEAD_WEIGHTS}.*", RESULT_FILES), work)

@@ -26,7 +26,7 @@ from pydantic import Field
 
 from hydro_agents.detection.activity import Activity
 from hydro_agents.detection.detector import Reading
-from hydro_env.files import Group, read_yaml, validate, write_yaml
+from hydro_env.files import Group, read_yaml, validate
 from hydro_env.types import Floats
 
 Flags = NDArray[np.bool_]
@@ -54,25 +54,19 @@ class Scales(Group):
 class AlarmSettings(Group):
     """Settings of an alarm, as in ``configs/agents/alarm.yaml``."""
 
-    detector: str = Field("", description="the detector of the calibration")
     interval: float = Field(4.0, gt=0.0, le=3600.0, description="s; between looks")
     clip: float = Field(2.0, gt=0.0, le=1e6, description="largest contribution of one look: an outlier raises no alarm")
     scales: Scales
     threshold: float = Field(1.0, gt=0.0, le=1e9, description="of the sum")
-    false_alarms_per_100_h: float | None = Field(None, ge=0.0, le=1e9, description="rate that set the threshold")
 
     @classmethod
     def load(cls, path: str | Path) -> AlarmSettings:
-        """Read what :meth:`save` wrote.
+        """Read the settings of a YAML file.
 
         Raises:
             ConfigurationError: missing or damaged file, unknown key, or an impossible value.
         """
         return validate(cls, read_yaml(path), str(path))
-
-    def save(self, path: str | Path) -> None:
-        """Write the settings as YAML."""
-        write_yaml(path, self.model_dump(mode="json"))
 
     def table(self, field: str) -> Floats:
         """One field of the scales, (activities,)."""

@@ -16,7 +16,7 @@ from hydro_agents.detection.disturbances import DISTURBANCES, Disturbed, drawn
 from hydro_agents.detection.features import LABELS, features_of
 from hydro_agents.detection.operations import ACTING, OPERATIONS
 from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
-from hydro_agents.detection.training_settings import HeadTrainingSettings
+from hydro_agents.detection.training_settings import LARGEST_LEAK, LEAST_LEAK, HeadTrainingSettings
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
@@ -48,9 +48,14 @@ CHUNK_OF_POLICY = 96  # the same under a policy for any axis: it takes a quarter
 KINDS_FOR_ANY_AXIS = ("flow_linearising", "ppo")  # kinds of controllers that serve drawn rigs
 POLICY = KINDS_FOR_ANY_AXIS.index("ppo")
 
-SECOND_FAULT, AT_START, SMALL = 0.1, 0.2, 0.35
-"""Shares: of faulty axes with a second fault, of windows at the start of a run, of leaks that are drawn from the
-healthy bound upwards; the other leaks are drawn from three times that bound upwards."""
+WINDOWS = 3  # from each run
+
+CHANGING_SHARE, ORIFICE_SHARE, DISTURBED_SHARE = 0.3, 0.06, 0.15
+"""Shares of runs: whose leak begins or grows within the window, with a turbulent leak, and with a disturbance."""
+
+HEALTHY_SHARE, SECOND_FAULT, AT_START, SMALL = 0.5, 0.1, 0.2, 0.35
+"""Shares: of healthy axes, of faulty axes with a second fault, of windows at the start of a run, of leaks that are
+drawn from the healthy bound upwards; the other leaks are drawn from three times that bound upwards."""
 
 NOISY, LEAST_NOISE, MOST_NOISE = 0.3, 0.7, 1.6
 """Share of chunks with other sensor noise, and its range as a factor on the task's."""
@@ -112,17 +117,16 @@ class TrainingPlan:
 
     def chunks(self, episodes: int) -> list[Chunk]:
         """Groups of runs that are simulated together."""
-        settings = self.settings
-        changing, orifice, disturbed = 0.5 * settings.changing_share, settings.orifice_share, settings.disturbed_share
+        changing = 0.5 * CHANGING_SHARE
         shares = [
-            ("constant", 1.0 - 2.0 * changing - orifice - disturbed, False),
+            ("constant", 1.0 - 2.0 * changing - ORIFICE_SHARE - DISTURBED_SHARE, False),
             ("onset", changing, False),
             ("growth", changing, False),
-            ("orifice", orifice, False),
-            ("constant", disturbed, True),
+            ("orifice", ORIFICE_SHARE, False),
+            ("constant", DISTURBED_SHARE, True),
         ]
         total = sum(row.share for row in OPERATIONS)
-        controllers = len(self.controllers) if settings.law is None else len(KINDS_FOR_ANY_AXIS)
+        controllers = len(self.controllers) if self.settings.law is None else len(KINDS_FOR_ANY_AXIS)
         chunks = []
         for number, row in enumerate(OPERATIONS):
             acting = [-1] if row.manner else range(controllers)
@@ -178,7 +182,7 @@ def simulated(
     sizes, steps = _lengths(generator, settings, config, changing)
     noise = _noise(generator)
     task = _task_of(chunk, config, sizes[0], steps, noise)
-    leaks = _leaks(generator, config, settings, count)
+    leaks = _leaks(generator, config, count)
     fault_share = 0.0 if chunk.disturbed else settings.fault_share
     faults, fault, labels = draw_faults(config, generator, count, fault_share)
     scale, sheet = leak_scale(config), sheet_of(config, settings.law is not None)
@@ -232,7 +236,7 @@ def _lengths(
     # Whole lengths in a few steps: the windows of one length are read together.
     choices = np.unique(np.geomspace(shortest, longest, 5).round().astype(int))
     sizes = []
-    for turn in range(settings.windows):
+    for turn in range(WINDOWS):
         size = choices[0] if turn % 2 == 0 else generator.choice(choices)
         sizes.append(int(size))
     if not changing:
@@ -275,15 +279,13 @@ def _acting(
     return controller
 
 
-def _leaks(
-    generator: np.random.Generator, config: TaskConfig, settings: HeadTrainingSettings, count: int
-) -> NDArray[np.float64]:
+def _leaks(generator: np.random.Generator, config: TaskConfig, count: int) -> NDArray[np.float64]:
     """Leaks in the rig's unit: healthy, or above the healthy bound; log-uniform."""
     bound, largest = config.leakage.class_bounds[0], LEAKAGE_LIMIT / leak_scale(config)
-    healthy = generator.random(count) < settings.healthy_share
+    healthy = generator.random(count) < HEALTHY_SHARE
     low = np.where(generator.random(count) < SMALL, bound, 3.0 * bound)
-    low = np.where(healthy, settings.lowest_healthy_flow, low)
-    high = np.where(healthy, bound, min(settings.highest_flow, largest))
+    low = np.where(healthy, LEAST_LEAK, low)
+    high = np.where(healthy, bound, min(LARGEST_LEAK, largest))
     size: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
     return size
 

@@ -37,6 +37,9 @@ from hydro_env import ConfigurationError, TaskConfig
 NEVER_VARIED, INVALID = 1e-5, FEATURES.index("invalid features")
 RIDGE = 0.05  # added to the covariance of the standardised features before inversion
 
+WEIGHT_DECAY = 1e-3
+SIZE_WEIGHT = 4.0  # of the size's error in the loss, relative to the classes
+
 FALSE_ALARM_RATE = 0.01
 
 CHANGING_SHARE = 0.15  # share of the windows that are treated as windows with a changing leak
@@ -104,12 +107,10 @@ def train_head(
                 raise ConfigurationError(result.error)
         windows[phase] = LabelledWindows.joined([LabelledWindows(**found[key].metrics) for key in jobs])
     record: dict[str, Any] = {"seed": seed, "settings": settings.model_dump(mode="json")}
-    if start is not None:
-        record["before"] = start.settings.training
-    if start is not None and settings.epochs == 0:
-        tensors = dict(start.tensors)
+    if start is None:
+        tensors = fitted(windows["data"], settings, seed, tell)
     else:
-        tensors = fitted(windows["data"], settings, seed, tell, start)
+        tensors, record["before"] = dict(start.tensors), start.settings.training
     head = calibrated(tensors, config, settings.longest_window(config), windows["validation"], record)
     head.settings.training["seconds"] = round(time.monotonic() - began, 1)
     return head
@@ -118,15 +119,15 @@ def train_head(
 def simulations(
     config: TaskConfig, controllers: Sequence[Controller], settings: HeadTrainingSettings, seed: int
 ) -> dict[str, dict[str, Job]]:
-    """The simulations of a training's data and of its validation."""
+    """The simulations of a training's data, unless a head is there to start with, and of its validation."""
     plans = {phase: TrainingPlan(config, controllers, settings, split) for phase, split in SPLITS.items()}
     jobs = {"validation": plans["validation"].jobs(settings.validation_episodes, THRESHOLDS.first)}
-    if settings.epochs == 0:
+    if settings.start is not None:
         return jobs
     return {"data": plans["data"].jobs(settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start)} | jobs
 
 
-def loss_of(output: Tensor, labels: Tensor, size: Tensor, size_weight: float) -> Tensor:
+def loss_of(output: Tensor, labels: Tensor, size: Tensor) -> Tensor:
     """Cross-entropy of the labels, and the pinball losses of the 5, 50 and 95 % quantiles of the size; means over N.
 
     The last label is that of a disturbed window.
@@ -138,25 +139,18 @@ def loss_of(output: Tensor, labels: Tensor, size: Tensor, size_weight: float) ->
     shares = torch.tensor([[0.5 * (1.0 - COVERAGE)], [0.5], [0.5 * (1.0 + COVERAGE)]])
     error = size - found
     pinball = torch.maximum(shares * error, (shares - 1.0) * error)
-    return wrong_label.sum(dim=1).mean() + size_weight * pinball.sum(dim=0).mean()
+    return wrong_label.sum(dim=1).mean() + SIZE_WEIGHT * pinball.sum(dim=0).mean()
 
 
 def fitted(
-    data: LabelledWindows,
-    settings: HeadTrainingSettings,
-    seed: int,
-    progress: Progress,
-    start: LeakageHead | None = None,
+    data: LabelledWindows, settings: HeadTrainingSettings, seed: int, progress: Progress
 ) -> dict[str, NDArray[Any]]:
     """The tensors of a head whose network has learned from the windows, without thresholds and intervals."""
     features = data.features
     torch.manual_seed(seed)
     network = make_network(settings.width, features.shape[1], settings.dropout)
-    rate, decay = settings.learning_rate, settings.weight_decay
-    optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=WEIGHT_DECAY)
     tensors = tensors_like(settings.width, features.shape[1]) | statistics_of(features)
-    if start is not None:
-        tensors |= begun(start, network, features)
     inputs = torch.from_numpy(standardised(features, tensors["mean"], tensors["scale"]))
     disturbed = (data.disturbance >= 1.0).astype(np.float32)
     labels = torch.from_numpy(np.column_stack([data.labels, disturbed]))
@@ -170,7 +164,7 @@ def fitted(
             share = (epoch * per_epoch + number) / (settings.epochs * per_epoch)
             optimiser.param_groups[0]["lr"] = settings.learning_rate_at(share)
             rows = order[first : first + settings.batch]
-            loss = loss_of(network(inputs[rows]), labels[rows], size[rows], settings.size_weight)
+            loss = loss_of(network(inputs[rows]), labels[rows], size[rows])
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
             optimiser.step()
@@ -179,38 +173,15 @@ def fitted(
     return tensors | network_tensors(network)
 
 
-def begun(start: LeakageHead, network: nn.Sequential, features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-    """The network gets the weights of a head; returns that head's standardisation, with the windows' own whitening.
-
-    Raises:
-        ConfigurationError: the head has other inputs or another width.
-    """
-    known = start.tensors
-    linear = [layer for layer in network if isinstance(layer, nn.Linear)]
-    if known["weight_0"].shape != tuple(linear[0].weight.shape):
-        raise ConfigurationError("start: has other inputs or another width than the training")
-    with torch.no_grad():
-        for number, layer in enumerate(linear):
-            layer.weight.copy_(torch.from_numpy(known[f"weight_{number}"]))
-            layer.bias.copy_(torch.from_numpy(known[f"bias_{number}"]))
-    mean, scale = known["mean"], known["scale"]
-    return {"mean": mean, "scale": scale, "whitener": whitener_of(standardised(features, mean, scale))}
-
-
 def statistics_of(features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
     """The tensors that standardise and whiten the features of the training windows, (N, F)."""
     mean, deviation = features.mean(axis=0), features.std(axis=0)
     # What never varied cannot be judged: a rig's file may know a range where the law draws none.
     judged = (deviation > NEVER_VARIED) | (np.arange(len(deviation)) == INVALID)
     scale = np.where(judged, 1.0 / (deviation + 1e-3), 0.0).astype(np.float32)
-    return {"mean": mean, "scale": scale, "whitener": whitener_of(standardised(features, mean, scale))}
-
-
-def whitener_of(inputs: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The matrix that makes standardised features (N, F) white."""
-    covariance = np.cov(inputs.T) + RIDGE * np.eye(inputs.shape[1])
-    whitener: NDArray[np.float32] = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
-    return whitener
+    covariance = np.cov(standardised(features, mean, scale).T) + RIDGE * np.eye(len(mean))
+    whitener = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
+    return {"mean": mean, "scale": scale, "whitener": whitener}
 
 
 def size_target(size: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -24,7 +24,7 @@ class Participants:
 
     controllers: Mapping[str, Controller]
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
-    corrects: Mapping[str, str] = field(default_factory=dict)  # names of policies and of what they correct, if known
+    corrects: Mapping[str, str] = field(default_factory=dict)  # names of policies and of what they correct
 
     def of(self, name: str, condition: str, protocol: RobustnessProtocol) -> Controller | str:
         """The controller that runs under a condition, or the reason why none can.
@@ -46,6 +46,7 @@ class Participants:
 def participants(
     controllers: Mapping[str, Controller | str | Path],
     protocol: RobustnessProtocol,
+    corrects: Mapping[str, str] | None = None,
 ) -> Participants:
     """Make the controllers of a protocol.
 
@@ -54,6 +55,7 @@ def participants(
             :func:`~hydro_agents.learning.loading.load_controller`. The first one is the baseline. ``NAME#0``,
             ``NAME#1``, … are training seeds of one controller.
         protocol: the protocol, which may name controllers for single conditions.
+        corrects: names of policies and of what they correct.
 
     Raises:
         ConfigurationError: there is no controller, a name is wrong, or a controller cannot be made for its task.
@@ -74,7 +76,7 @@ def participants(
                 with at(f"conditions.{condition}.controllers.{name}"):
                     chosen: Any = what if isinstance(what, str) else controller_with_gains(what, task)
                     made[name, condition] = load_controller(chosen, task, name)
-    return Participants(ready, made)
+    return Participants(ready, made, corrects or {})
 
 
 def split_name(name: str) -> tuple[str, int]:

@@ -117,7 +117,6 @@ class Rollout:
     position_bias: NDArray[np.float64]  # (N,), m; the sensor reads the true position plus this
     signals: NDArray[np.float16 | np.float32] | None  # (N, S, T), chosen columns of the observation
     leakage_flow_lpm: NDArray[np.float64]  # (N,), at the end
-    leakage_class: NDArray[np.int64]  # (N,)
 
 
 def run_cases(
@@ -196,7 +195,6 @@ def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any,
         position_bias=bias,
         signals=None if signals is None else signals.transpose(1, 2, 0),
         leakage_flow_lpm=flow,
-        leakage_class=axes.leakage_class(flow),
         **traces,
     )
 

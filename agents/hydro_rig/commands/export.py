@@ -226,8 +226,8 @@ def _task_of_gains(gains: Path) -> TaskConfig:
     Raises:
         ConfigurationError: it lies in no folder of a study.
     """
-    from hydro_agents.study.run import TUNED_FILE
-    from hydro_agents.study.settings import StudySettings
+    from hydro_agents.evaluation.study import StudySettings
+    from hydro_agents.evaluation.study_run import TUNED_FILE
 
     study = gains.absolute().parent.parent.parent / TUNED_FILE  # controllers/NAME/gains.yaml
     if not study.is_file():

@@ -141,7 +141,6 @@ def test_every_case_of_a_rollout():
         position_bias=np.array([0.0001, 0.0]),
         signals=None,
         leakage_flow_lpm=np.array([0.01, 4.0]),
-        leakage_class=np.array([0, 3]),
     )
     found = rollout_metrics(rollout, np.array(["step", "ramp"]), 0.005)
     assert found["overshoot_percent"][0] == pytest.approx(10.0, rel=1e-4)

@@ -48,7 +48,7 @@ class Ram:
 
 
 def single_episode(config, seed, leak, family, gain=3.0):
-    """Position, command, spool, reward, observation of one episode of the single environment."""
+    """Position, reference, command, reward and observation of one episode of the single environment."""
     env = ServoHydraulicEnv(config)
     observation, info = env.reset(seed=seed, options={"leakage_flow_lpm": leak, "reference": family})
     rows, over = [], False
@@ -58,7 +58,7 @@ def single_episode(config, seed, leak, family, gain=3.0):
         observation, reward, terminated, truncated, info = env.step([action])
         rows.append((info["position"], info["reference"], np.clip(action, -1, 1), reward, *before))
         over = terminated or truncated
-    return np.array(rows), info
+    return np.array(rows)
 
 
 def test_each_case_is_the_episode_of_a_single_environment():
@@ -69,16 +69,14 @@ def test_each_case_is_the_episode_of_a_single_environment():
     assert run.signals.shape == (5, 2, steps)
     for array in (run.position, run.reference, run.command, run.spool, run.reward, run.signals):
         assert array.dtype == np.float32  # half the memory, and finer than any sensor
-    assert run.failed_at.dtype == run.leakage_class.dtype == np.int64
+    assert run.failed_at.dtype == np.int64
     for case in range(5):
-        rows, info = single_episode(
-            CONFIG, int(CASES.seeds[case]), CASES.leakage_flow_lpm[case], str(CASES.families[case])
-        )
+        leak, family = CASES.leakage_flow_lpm[case], str(CASES.families[case])
+        rows = single_episode(CONFIG, int(CASES.seeds[case]), leak, family)
         for column, array in enumerate((run.position, run.reference, run.command, run.reward)):
             np.testing.assert_array_equal(array[case], rows[:, column].astype(np.float32))
         np.testing.assert_array_equal(run.signals[case], rows[:, [4 + POSITION, 4 + ERROR]].T.astype(np.float32))
-        assert run.leakage_flow_lpm[case] == pytest.approx(CASES.leakage_flow_lpm[case])
-        assert run.leakage_class[case] == info["leakage_class"]
+        assert run.leakage_flow_lpm[case] == pytest.approx(leak)
     assert run.failed_at.tolist() == [-1] * 5
     assert np.abs(np.diff(run.spool, axis=1)).max() > 0.0
 

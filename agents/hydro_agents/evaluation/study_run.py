@@ -1,4 +1,4 @@
-"""Runs a study: tune and train its controllers, then compare all of them.
+"""Runs a study: tunes and trains its controllers with progress on the console, then compares all of them.
 
 The output folder gets the result of each phase, and meanwhile its finished jobs; an interrupted study can therefore
 resume. A study with several training seeds trains each learned controller once per seed, as ``NAME#0``, ``NAME#1``, …:
@@ -8,38 +8,41 @@ the seeds share its rows in the tables, whose intervals include them.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from hydro_agents.controllers.base import ClassicalController, Controller
-from hydro_agents.controllers.registry import GAINS_FILE, make_controller
+from hydro_agents.controllers.registry import GAINS_FILE, gains_text, make_controller
 from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.participants import participants
 from hydro_agents.evaluation.runner import Results, run
+from hydro_agents.evaluation.study import StudySettings
 from hydro_agents.learning.loading import load_controller
+from hydro_agents.learning.progress import PROGRESS_FILE, Progress
+from hydro_agents.learning.stable_gain import stable_start
+from hydro_agents.learning.tuning import Search, Tuned, tune
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
-from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import RESULT_FILES
-from hydro_agents.running.seeds import SEED_MARK, TRIAL_RUN
-from hydro_agents.study.settings import StudySettings
-from hydro_agents.study.training import (
-    TRAINING_FILES,
-    WEIGHTS,
-    train_controller,
-    tune_controller,
-)
+from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest, rest_text
+from hydro_agents.running.seeds import SEED_MARK, STANDSTILLS, TRIAL_RUN
 from hydro_env import ConfigurationError
-from hydro_env.files import read_yaml, write_yaml
+from hydro_env.files import read_yaml, write_text, write_yaml
 
 CONFIG_FILE = "study.yaml"
 TUNED_FILE = "tuned_study.yaml"
 """The study with the tuned gains, for `hydro evaluate --config` and `hydro train --config`."""
+
+WEIGHTS = "policy"
+CHECKPOINTS = "checkpoint*"
+TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")
+"""Files that the training of a controller writes; the names of checkpoints begin with ``checkpoint``."""
+
+STANDSTILL_CASES = 16  # at which the tuned gains are searched for limit cycles
 
 TRAINED_BY = ("seed", "task", "controllers")
 """Settings on which trained weights depend; the others may change when a study resumes."""
@@ -52,17 +55,13 @@ def labels_of(study: StudySettings, name: str, seeds: range) -> dict[str, int]:
     return {name: seeds[0]}
 
 
-def claimed(
-    study: StudySettings, folder: Path, seeds: range, files: Sequence[str], resume: bool, overwrite: bool
-) -> AbstractContextManager[Path]:
-    """The folder of a study, for its files and ``files``; see :func:`~hydro_agents.running.folders.output_folder`."""
-    writes = [CONFIG_FILE, TUNED_FILE, RESULT_FILES, *files]
+def files_of(study: StudySettings, seeds: range) -> list[str]:
+    """Names of the files that :func:`run_study` may write."""
+    files = [CONFIG_FILE, TUNED_FILE, RESULT_FILES]
     for name in study.trained:
         for label in labels_of(study, name, seeds):
-            writes += [f"controllers/{label}/{file}" for file in TRAINING_FILES]
-    for name in study.tuned:
-        writes.append(f"controllers/{name}/{GAINS_FILE}")
-    return output_folder(folder, "study", writes, resume=resume, overwrite=overwrite)
+            files += [f"controllers/{label}/{file}" for file in TRAINING_FILES]
+    return files + [f"controllers/{name}/{GAINS_FILE}" for name in study.tuned]
 
 
 def run_study(
@@ -72,11 +71,11 @@ def run_study(
     display: ProgressDisplay,
     facts: Sequence[tuple[str, str]] = (),
 ) -> Results:
-    """Run all phases that are not finished in the folder (:func:`claimed`).
+    """Run all phases that are not finished in the folder.
 
     Args:
         study: the study, checked.
-        folder: for its files.
+        folder: for its files (:func:`files_of`).
         seeds: of the trainings; the first one is that of the tuning.
         display: shows the progress.
         facts: more rows of the table ``protocol``: key and value.
@@ -104,8 +103,7 @@ def run_study(
             known[label] = _trained(study, label, folder, seed, known, display)
     controllers = {label: known[label] for name in study.controllers for label in labels_of(study, name, seeds)}
     protocol = study.evaluation.protocol(study.task, study.title)
-    chosen = replace(participants(controllers, protocol), corrects=study.corrects)
-    return run(protocol, chosen, folder, None, display.update, facts)
+    return run(protocol, participants(controllers, protocol, study.corrects), folder, None, display.update, facts)
 
 
 def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:
@@ -163,3 +161,93 @@ def _trained(
     if entry.corrects is not None:
         base = known.get(f"{entry.corrects}{SEED_MARK}{seed}") or known[entry.corrects]
     return train_controller(study, label, own, seed, base, display)
+
+
+def train_controller(
+    study: StudySettings, label: str, folder: Path, seed: int, base: Controller | None, display: ProgressDisplay
+) -> Controller:
+    """Train one controller of a study, from the checkpoint in the folder on; write weights, checkpoints and log there.
+
+    Args:
+        study: the study.
+        label: name of the controller, or NAME#SEED.
+        folder: for its files.
+        seed: seed of all random numbers.
+        base: the controller that it corrects.
+        display: shows the progress.
+
+    Raises:
+        ConfigurationError: the settings are impossible, or the checkpoint is damaged or of other settings.
+        KeyboardInterrupt: Ctrl-C; the trainer has written a checkpoint.
+    """
+    entry = study.controllers[label.partition(SEED_MARK)[0]]
+    assert entry.trainer is not None
+    resume = any(folder.glob(CHECKPOINTS))
+    last = [0.0, 0.0]
+
+    def report(progress: Progress) -> None:
+        passed, steps = progress.seconds - last[0], progress.steps - last[1]
+        notes = []
+        if passed > 0 and last[1]:
+            notes.append(f"{steps / passed:,.0f} steps/s")
+        if not math.isnan(progress.mean_reward):
+            notes.append(f"mean reward {progress.mean_reward:.4f}")
+        last[:] = progress.seconds, progress.steps
+        done = min(progress.steps, progress.total_steps)
+        display.update(f"train {label}", done, progress.total_steps, ", ".join(notes))
+
+    if not resume:
+        display.update(f"train {label}", 0, getattr(entry.settings, "total_steps", 0))
+    controller = entry.trainer.train(
+        study.task, entry.settings, seed=seed, folder=folder, resume=resume, base=base, progress=report
+    )
+    controller.save(folder / WEIGHTS)
+    return controller
+
+
+def tune_controller(
+    study: StudySettings, name: str, file: Path, folder: Path, seed: int, display: ProgressDisplay
+) -> Controller:
+    """Tune one classical controller of a study with progress on the console; continues after an interruption.
+
+    The best gains so far are written after every generation. The file of the final gains says in a comment whether an
+    axis under them comes to rest without sensor noise.
+
+    Args:
+        study: the study.
+        name: name of a controller with ``tune``.
+        file: for the gains.
+        folder: keeps the finished generations.
+        seed: seed of the search.
+        display: shows the progress.
+
+    Raises:
+        ConfigurationError: no candidate can control the axis.
+        KeyboardInterrupt: Ctrl-C.
+    """
+    entry = study.controllers[name]
+    budget, given = entry.tune, entry.settings
+    assert budget is not None
+    start = stable_start(study.task, given)
+    if getattr(start, "proportional", None) != getattr(given, "proportional", None):
+        display.say(f"{name}: its gains are unstable on this rig; the search starts from the figures of the rig")
+
+    def report(best: Tuned) -> None:
+        done = min(best.evaluations, budget.evaluations)
+        display.update(f"tune {name}", done, budget.evaluations, f"{1e3 * best.cost:.4f} mm")
+        write_text(file, gains_text(best.gains))
+
+    display.update(f"tune {name}", 0, budget.evaluations)
+    search = Search(budget.evaluations, seed, budget.cases, start)
+    tuned = tune(entry.kind, study.task, search, folder, report)
+    made = make_controller(entry.kind, study.task, tuned.gains.model_dump())
+    found = counted_at_rest(made, study.task, STANDSTILLS, STANDSTILL_CASES)
+    note = f"{rest_text(found)} (drawn plants and leaks, without sensor noise)"
+    write_text(file, gains_text(tuned.gains, note[0].upper() + note[1:]))
+    display.say(
+        f"{name}: {1e3 * tuned.cost:.4f} mm on training cases, geometric mean of the families, cost of command changes "
+        "included"
+    )
+    if not comes_to_rest(found):
+        display.say(f"{name}, tuned: {note}")
+    return made

@@ -12,11 +12,12 @@ from hydro_agents.commands import controller_pages
 from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
+from hydro_agents.evaluation import study as settings
+from hydro_agents.evaluation import study_run as training
+from hydro_agents.evaluation.study import default_study
 from hydro_agents.learning import rig_gains, tuning
 from hydro_agents.learning.loading import shipped, usual_gains
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.study import settings, training
-from hydro_agents.study.settings import default_study
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
 

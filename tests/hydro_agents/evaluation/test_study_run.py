@@ -15,9 +15,9 @@ from refusal import refused
 from hydro_agents.commands import controller_pages
 from hydro_agents.commands.evaluate import evaluate
 from hydro_agents.commands.study import train, whole_study
+from hydro_agents.evaluation import study_run as training
+from hydro_agents.evaluation.study import StudySettings, default_study
 from hydro_agents.learning import tuning
-from hydro_agents.study import training
-from hydro_agents.study.settings import StudySettings, default_study
 
 ALGORITHM = '''
 """A proportional controller whose gain is "trained"."""
@@ -223,7 +223,7 @@ def test_train_takes_any_trained_controller_of_the_study_and_tunes_what_it_corre
         with refused(message):
             train(what, tmp_path / "new", file, **options)
     for changes, message in (
-        ({"leakage_head": {"lowest_healthy_flow": 5.0}}, "lowest_healthy_flow"),
+        ({"task": {"leakage": {"faulty_range": [6.0, 7.0]}}}, r"faulty_range\[0\] = 6 must lie within"),
         ({"task": {"episode_duration": 0.2}}, "an episode of 40 control periods .* at least 50"),
     ):
         with refused(message):

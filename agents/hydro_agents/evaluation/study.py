@@ -1,4 +1,4 @@
-"""Settings of a study: task, controllers, size of the evaluation; and those of the leakage head's training.
+"""A study as data: task, controllers to tune and train, the size of their comparison; and the leakage head's training.
 
 A file is validated once, in whole: the settings of a controller too become gains or settings of a training. On another
 rig gains are tuned first, and controllers that need a sensor that the rig lacks are left out.
@@ -184,9 +184,7 @@ class StudySettings(Group):
     def make(self, name: str) -> Controller:
         """A controller of the study that needs no training."""
         entry = self.controllers[name]
-        if entry.kind in CONTROLLERS:
-            return CONTROLLERS[entry.kind][0](entry.settings, self.task)
-        return make_controller(entry.kind, self.task, entry.settings)
+        return make_controller(entry.kind, self.task, dict(entry.settings))
 
     @property
     def trained(self) -> list[str]:
@@ -217,20 +215,18 @@ class StudySettings(Group):
             ConfigurationError: a controller cannot be made or has no weights.
         """
         controllers: dict[str, Controller] = {}
-        replaced = set()
         for name, entry in self.controllers.items():
-            for agent, what in agents.items():
-                if split_name(agent)[0] == name:
-                    controllers[agent] = load_controller(what, self.task, agent, entry.trainer)
-                    replaced.add(name)
-            if name in replaced:
+            own = [agent for agent in agents if split_name(agent)[0] == name]
+            for agent in own:
+                controllers[agent] = load_controller(agents[agent], self.task, agent, entry.trainer)
+            if own:
                 continue
             try:
                 controllers[name] = self._ready(name)
             except ConfigurationError as error:
                 if entry.trainer is None or not leave_out:
                     raise
-                print(f"hydro: left out: {error}", file=sys.stderr)
+                tell_left_out(error)
         for name, what in agents.items():
             if name not in controllers:
                 controllers[name] = load_controller(what, self.task, name)
@@ -262,13 +258,42 @@ class StudySettings(Group):
                 try:
                     own: Any = shipped(entry.kind, self.task, searched_gains)
                 except ConfigurationError as error:
-                    print(f"hydro: left out: {name}: {error}", file=sys.stderr)
+                    tell_left_out(f"{name}: {error}")
                     continue
                 entry = entry.changed(settings=own.gains, tune=None)
                 if entry in controllers.values():
                     continue
             controllers[name] = entry
         return self.model_copy(update={"controllers": controllers})
+
+    def with_its_sensors(self) -> StudySettings:
+        """The study without the classical controllers that read an absent sensor, and without what corrects them.
+
+        A line on standard error names each.
+
+        Raises:
+            ConfigurationError: no controller is left.
+        """
+        if all(getattr(self.task.sensors, name).fitted for name in SENSORS):
+            return self
+        controllers: dict[str, ControllerEntry] = {}
+        for name, entry in self.controllers.items():
+            try:
+                if entry.kind in CONTROLLERS:
+                    self.make(name)
+                elif entry.corrects is not None and entry.corrects not in controllers:
+                    raise ConfigurationError(f"corrects {entry.corrects}")
+                controllers[name] = entry
+            except ConfigurationError as error:
+                tell_left_out(f"{name}: {error}")
+        if not controllers:
+            raise ConfigurationError("no controller works with the sensors of this rig")
+        return self.model_copy(update={"controllers": controllers})
+
+
+def tell_left_out(what: object) -> None:
+    """Name on standard error a controller that takes no part, and why."""
+    print(f"hydro: left out: {what}", file=sys.stderr)
 
 
 def default_study(
@@ -281,7 +306,8 @@ def default_study(
     """The study of a file or of ``make study``, optionally with another task or rig.
 
     Gains belong to a rig. On another rig every classical controller is therefore tuned first; flow linearisation begins
-    with its gains for any rig. Controllers that need absent sensors are left out, with one line each on standard error.
+    with its gains for any rig. Controllers that need absent sensors are left out
+    (:meth:`StudySettings.with_its_sensors`).
 
     Args:
         path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
@@ -301,9 +327,7 @@ def default_study(
     if rig is not None:
         changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
         changes["controllers"] = {name: _begun(entry) for name, entry in study.controllers.items()}
-    study, notes = without_absent_sensors(study.model_copy(update=changes))
-    for note in notes:
-        print(f"hydro: {note}", file=sys.stderr)
+    study = study.model_copy(update=changes).with_its_sensors()
     study.check("study" if path is None else str(path))
     return study
 
@@ -315,36 +339,3 @@ def _begun(entry: ControllerEntry) -> ControllerEntry:
     gains = CONTROLLERS[entry.kind][1]
     usual = entry.kind in ANY_RIG and entry.settings == gains.model_validate(read_yaml(usual_gains(entry.kind)))
     return entry.changed(tune=entry.tune or TuningSettings(), settings=gains() if usual else entry.settings)
-
-
-def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[str]]:
-    """The part of a study that works with the sensors of its task.
-
-    A classical controller that reads an absent sensor is left out, and so is one that corrects it.
-
-    Returns:
-        The study, and one line per change; the study itself if the rig lacks no sensor.
-
-    Raises:
-        ConfigurationError: no controller is left.
-    """
-    if all(getattr(study.task.sensors, name).fitted for name in SENSORS):
-        return study, []
-    kept: dict[str, ControllerEntry] = {}
-    notes = []
-    for name, entry in study.controllers.items():
-        reason = ""
-        if entry.corrects is not None and entry.corrects not in kept:
-            reason = f"it corrects {entry.corrects}"
-        elif entry.kind in CONTROLLERS:
-            try:
-                study.make(name)
-            except ConfigurationError as error:
-                reason = str(error)
-        if reason:
-            notes.append(f"{name} is left out: {reason}")
-        else:
-            kept[name] = entry
-    if not kept:
-        raise ConfigurationError(f"no controller works with the sensors of this rig: {notes[0]}")
-    return study.model_copy(update={"controllers": kept}), notes
