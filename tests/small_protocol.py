@@ -37,20 +37,6 @@ class Proportional:
         return (self.gain * 0.1 * observation[:, [ERROR]]).astype(np.float32), state
 
 
-class Broken:
-    """Returns NaN on one axis where the latency is 4 ms, which it notices by its own count of calls."""
-
-    def __init__(self, answer=np.nan, after=2):
-        self.answer, self.after = answer, after
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        step = 0 if state is None else state
-        command = np.zeros((len(observation), 1))
-        if step >= self.after:
-            command[-1] = self.answer
-        return command, step + 1
-
-
 def _error_column():
     from hydro_env import ServoHydraulicEnv
 

@@ -33,12 +33,8 @@ def study_page(configuration: str) -> PageOf:
     """The page of a study with these settings (YAML)."""
 
     def draw(results: Results) -> Page:
-        return controllers_page(
-            results.protocol.title,
-            results.tables(),
-            examples=example_traces(results),
-            configuration=configuration,
-        )
+        examples = example_traces(results)
+        return controllers_page(results.protocol.title, results.tables(), examples, configuration)
 
     return PageOf("report.html", draw, summary, remarks)
 

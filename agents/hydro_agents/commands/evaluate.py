@@ -17,10 +17,10 @@ from hydro_agents.commands.options import (
     Resume,
     Task,
     named_agents,
+    refuse_given,
     tell_rigs,
     working_in,
 )
-from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
     from hydro_agents.commands.protocols import Options
@@ -93,9 +93,8 @@ def evaluate(
     if rig is not None:
         law = law_of(rig)
         if law is not None:
-            _refuse_with_law(
-                {"--config": config, "--protocol": protocol, "--head": head, "--period": period, "--latency": latency}
-            )
+            without = {"--config": config, "--protocol": protocol, "--head": head}
+            refuse_given(without | {"--period": period, "--latency": latency}, "has no meaning on drawn rigs")
             with workers(jobs):
                 _evaluate_on_drawn_rigs(
                     law, named_agents(agent), plants, Options(task, None, output or DRAWN, resume, overwrite)
@@ -106,14 +105,11 @@ def evaluate(
     folder = output or Path("results") / ("evaluate" if file is None else file.stem)
     options = Options(task, rig, folder, resume, overwrite, file, period, latency)
     leaks = file is not None and read_yaml(file).get("kind") == "leakage"
-    if head is not None and not leaks:
-        raise ConfigurationError("--head: belongs to --protocol leakage")
-    of_the_file: dict[str, object] = {} if file is None else {"--plants": plants}
-    if leaks:
-        of_the_file |= {"--agent": agent, "--config": config}
-    for option, value in of_the_file.items():
-        if value is not None:
-            raise ConfigurationError(f"{option}: a protocol takes it from its file")
+    if not leaks:
+        refuse_given({"--head": head}, "belongs to --protocol leakage")
+    if file is not None:
+        of_the_file = {"--plants": plants} | ({"--agent": agent, "--config": config} if leaks else {})
+        refuse_given(of_the_file, "a protocol takes it from its file")
     with workers(jobs):
         if leaks:
             _evaluate_detectors(head, options)
@@ -128,19 +124,11 @@ def _evaluate_detectors(head: Path | None, options: Options) -> None:
     from hydro_agents.detection.detectors import make_detector
     from hydro_agents.evaluation.leak_protocol import LeakProtocol
 
-    protocol, own = options.read(LeakProtocol), None
-    if head is not None:
-        from hydro_agents.detection.monitor import HeadDetector
-
-        own = HeadDetector.load(head)
-    detectors = {name: make_detector(choice, own) for name, choice in protocol.detectors.items()}
+    protocol, own = options.read(LeakProtocol), {} if head is None else {"weights": str(head)}
+    detectors = {}
+    for name, choice in protocol.detectors.items():
+        detectors[name] = make_detector(choice.model_copy(update=own))
     run_protocol(protocol, detectors, options, LEAKAGE_PAGE, protocol)
-
-
-def _refuse_with_law(options: dict[str, object]) -> None:
-    for option, value in options.items():
-        if value is not None:
-            raise ConfigurationError(f"{option}: has no meaning on drawn rigs")
 
 
 def _evaluate_on_drawn_rigs(law: dict[str, Any], agents: dict[str, str], plants: int | None, options: Options) -> None:

@@ -110,6 +110,17 @@ def check_new_file(output: Path, overwrite: bool) -> None:
         raise ConfigurationError(f"{output}: exists; --overwrite replaces it, --output takes another file")
 
 
+def refuse_given(options: Mapping[str, object], why: str) -> None:
+    """Refuse options that have no meaning here.
+
+    Raises:
+        ConfigurationError: one of them is given.
+    """
+    for option, value in options.items():
+        if value is not None:
+            raise ConfigurationError(f"{option}: {why}")
+
+
 @contextmanager
 def working_in(
     folder: Path, job: str, writes: Sequence[str], resume: bool, overwrite: bool

@@ -21,6 +21,7 @@ from hydro_agents.commands.options import (
     Seed,
     Task,
     named_agents,
+    refuse_given,
     say,
     tell_rigs,
     working_in,
@@ -136,10 +137,8 @@ def train(
 
     study = default_study(config, task, rig)
     name = what.lower()
-    if steps is not None and name == "head":
-        raise ConfigurationError("--steps: does not apply to hydro train head")
-    if agent is not None and name != "head":
-        raise ConfigurationError(f"--agent: does not apply to hydro train {name}")
+    unused = {"--steps": steps} if name == "head" else {"--agent": agent}
+    refuse_given(unused, f"does not apply to hydro train {name}")
     with workers(jobs):
         if name == "head":
             part = _head(study, named_agents(agent))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import Field, field_validator
 
@@ -10,9 +10,6 @@ from hydro_agents.controllers.by_name import imported
 from hydro_agents.detection.detector import Detector
 from hydro_env import ConfigurationError
 from hydro_env.files import Group
-
-if TYPE_CHECKING:
-    from hydro_agents.detection.monitor import HeadDetector
 
 DETECTOR_KINDS = ("head", "estimator", "two_stage")
 
@@ -46,12 +43,8 @@ class DetectorChoice(Group):
         return kind
 
 
-def make_detector(choice: DetectorChoice, head: HeadDetector | None = None) -> Detector:
+def make_detector(choice: DetectorChoice) -> Detector:
     """The detector of a choice.
-
-    Args:
-        choice: kind and settings.
-        head: replaces the head of the choice.
 
     Raises:
         ConfigurationError: its weights cannot be read, or the object that it names is no detector.
@@ -68,7 +61,7 @@ def make_detector(choice: DetectorChoice, head: HeadDetector | None = None) -> D
     else:
         from hydro_agents.detection.monitor import HeadDetector  # a detector of your own needs no network
 
-        detector = head or HeadDetector.load(choice.weights)
+        detector = HeadDetector.load(choice.weights)
         if choice.kind == "two_stage":
             detector = imported(TWO_STAGE)(detector, imported(ESTIMATOR)(choice.task, restarts=0))
     return detector

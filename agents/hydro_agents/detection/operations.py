@@ -210,26 +210,19 @@ def loaded(config: TaskConfig) -> TaskConfig:
     return task_config(config, disturbance=config.disturbance.model_dump() | {"kind": "mixed"})
 
 
-def _shipped(kind: str) -> Make:
-    def make(config: TaskConfig, count: int, seed: int) -> Controller:
-        from hydro_agents.learning.loading import shipped
+def _shipped(kind: str, config: TaskConfig, count: int, seed: int) -> Controller:
+    from hydro_agents.learning.loading import shipped
 
-        return shipped(kind, config)
-
-    return make
-
-
-def _manner(name: str) -> Make:
-    return lambda config, count, seed: Operation(MANNERS[name], config, count, seed)
+    return shipped(kind, config)
 
 
 ACTING: dict[str, Acting] = {
-    "PID": Acting(_shipped("pid"), True),
-    "PPO on flow linearisation": Acting(_shipped("ppo"), True),
-    "flow-linearising": Acting(_shipped("flow_linearising"), True),
-    **{name: Acting(_manner(name), True) for name in MANNERS},
-    "ADRC": Acting(_shipped("adrc"), False),
-    "LQG": Acting(_shipped("lqg"), False),
+    "PID": Acting(partial(_shipped, "pid"), True),
+    "PPO on flow linearisation": Acting(partial(_shipped, "ppo"), True),
+    "flow-linearising": Acting(partial(_shipped, "flow_linearising"), True),
+    **{name: Acting(partial(Operation, manner), True) for name, manner in MANNERS.items()},
+    "ADRC": Acting(partial(_shipped, "adrc"), False),
+    "LQG": Acting(partial(_shipped, "lqg"), False),
     "sliding mode": Acting(partial(_Unseen, _sliding_mode), False),
     "three-step switch": Acting(partial(_Unseen, _three_step), False),
     "swept sine": Acting(partial(_Unseen, _swept_sine), False),

@@ -53,12 +53,6 @@ class Sample(NamedTuple):
         """Number of plants with a case."""
         return int(self.present.any(axis=1).sum())
 
-    @property
-    def dense(self) -> Sample:
-        """The same without the plants that have no case."""
-        used = self.present.any(axis=1)
-        return Sample(self.values[:, used], self.weights._replace(plants=self.weights.plants[:, used]))
-
     def where(self, kept: Mask) -> Sample:
         """The same without the values of other cases."""
         return self._replace(values=np.where(kept, self.values, np.nan))

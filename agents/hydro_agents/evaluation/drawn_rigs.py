@@ -55,7 +55,7 @@ def errors_of(run: Rollout, cases: Cases, stroke: float) -> dict[str, float]:
 
 
 def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: int, plants: int = PLANTS) -> Columns:
-    """Errors of one rig (:func:`errors_of`), and the returns of its episodes.
+    """Errors of one rig (:func:`errors_of`), and mean and standard deviation of the returns of its episodes.
 
     Args:
         controller: an agent that reads the observation of drawn rigs; ``None``: ``what`` is a kind or weights, loaded
@@ -75,9 +75,10 @@ def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: 
         task = task_config(drawn, law=law)
     cases = cases_of(number, plants)
     run = run_cases(task, controller, cases)
+    returns = run.reward.sum(axis=1)
     found = {"rig": number, **errors_of(run, cases, own.plant.cylinder.stroke)}
-    columns: Columns = {name: np.array([value]) for name, value in found.items()}
-    return columns | {"returns": run.reward.sum(axis=1)}
+    found |= {"return": returns.mean(), "return_sd": returns.std()}
+    return {name: np.array([value]) for name, value in found.items()}
 
 
 def on_drawn_rigs(
@@ -100,17 +101,14 @@ def on_drawn_rigs(
         digest = what if of_rig else fingerprint(controller)
         for number in range(drawn.law.count):
             jobs[f"{name}|{number}"] = Job(on_rig, controller, (what, drawn, number, plants), digest)
-    answers, _ = run_jobs(jobs, folder, None, progress)
+    answers = run_jobs(jobs, folder, None, progress)
     rows = []
-    for key, answer in answers.items():
+    for key in jobs:
+        name, answer = key.partition("|")[0], answers[key]
         if answer.error:
-            raise ConfigurationError(f"{key.partition('|')[0]}: {answer.error}")
-        returns = answer.metrics["returns"]
-        row = {name: float(values[0]) for name, values in answer.metrics.items() if name != "returns"}
-        rows.append({"agent": key.partition("|")[0], **row, "return": returns.mean(), "return_sd": returns.std()})
-    order = [UNTUNED, *agents]
-    rows.sort(key=lambda row: (order.index(row["agent"]), row["rig"]))
-    return pd.DataFrame(rows)
+            raise ConfigurationError(f"{name}: {answer.error}")
+        rows.append(pd.DataFrame({"agent": name, **answer.metrics}))
+    return pd.concat(rows, ignore_index=True)
 
 
 def in_words(ratio: pd.Series) -> list[str]:

@@ -25,7 +25,7 @@ FAR = 6.0  # error of an unflagged estimate that counts as a local minimum, in s
 SECONDS_PER_HOUR = 3600.0
 
 
-@table("thresholds", of="windows")
+@table("thresholds")
 def thresholds(results: Results) -> pd.DataFrame:
     """For each detector: the threshold at 1 % false alarms on healthy validation windows, and the threshold in use."""
     read, rows = results.part("windows"), []
@@ -39,7 +39,7 @@ def thresholds(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("windows", of="windows")
+@table("windows")
 def windows(results: Results) -> pd.DataFrame:
     """The windows of all detectors with a threshold, without those of the validation; see :func:`judged`."""
     read = results.part("windows")

@@ -40,7 +40,6 @@ class Results:
     participants: Any
     rows: Mapping[str, pd.DataFrame]  # by part; a part without results is absent
     status: pd.DataFrame  # participant (with training seed), condition, status, message
-    reused: int = 0  # jobs with results from an earlier run
     facts: Sequence[tuple[str, str]] = ()  # more rows of the table ``protocol``: key and value
     _made: dict[str, pd.DataFrame] = field(default_factory=dict)
 
@@ -93,19 +92,11 @@ _MODULES = {"robustness": "tracking_tables", "leakage": "leak_tables"}
 """Modules with the tables of a kind of protocol."""
 
 
-def table(name: str, of: str = "") -> Callable[[TableFunction], TableFunction]:
-    """Register a function of the results as a table of the protocols to which its module belongs.
-
-    A table ``of`` a part is empty without rows of that part.
-    """
+def table(name: str) -> Callable[[TableFunction], TableFunction]:
+    """Register a function of the results as a table of the protocols to which its module belongs."""
 
     def register(function: TableFunction) -> TableFunction:
-        def made(results: Results) -> pd.DataFrame:
-            if of and results.part(of).empty:
-                return pd.DataFrame()
-            return function(results)
-
-        _TABLES.setdefault(function.__module__, {})[name] = made
+        _TABLES.setdefault(function.__module__, {})[name] = function
         return function
 
     return register
@@ -169,13 +160,13 @@ def run(
         # Equal jobs have one key and run once: conditions that differ only in their references share standstills.
         keys.append([job.file if job.digest else f"{number}|{place}" for place, job in enumerate(cell.jobs)])
         listed |= dict(zip(keys[-1], cell.jobs, strict=True))
-    answers, reused = run_jobs(listed, folder, jobs, progress)
+    answers = run_jobs(listed, folder, jobs, progress)
     rows, statuses = collect(cells, [[answers[key] for key in own] for own in keys], protocol.who)
     if protocol.parts[0] not in rows:
         reasons = statuses[statuses["message"] != ""].drop_duplicates(protocol.who)
         lines = "; ".join(f"{row[protocol.who]}: {row['message']}" for row in reasons.to_dict("records"))
         raise ControllerError(f"no {protocol.who} ran under any condition; {lines}")
-    return Results(protocol, chosen, rows, statuses, reused, facts)
+    return Results(protocol, chosen, rows, statuses, facts)
 
 
 def collect(

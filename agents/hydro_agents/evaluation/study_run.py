@@ -11,12 +11,11 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 
 from hydro_agents.controllers.base import ClassicalController, Controller
-from hydro_agents.controllers.registry import GAINS_FILE, gains_text, make_controller
+from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, gains_text
 from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.participants import participants
 from hydro_agents.evaluation.runner import Results, run
@@ -86,18 +85,9 @@ def run_study(
     """
     _write_settings(study, folder, seeds[0])
     try_out(study)
-    known: dict[str, Controller] = {}
-    tuned = (folder / TUNED_FILE).exists()
-    for name, entry in study.controllers.items():
-        gains = folder / "controllers" / name / GAINS_FILE
-        if name in study.tuned and tuned:
-            known[name] = make_controller(entry.kind, study.task, read_yaml(gains))
-        elif name in study.tuned:
-            known[name] = tune_controller(study, name, gains, folder, seeds[0], display)
-        elif entry.trainer is None:
-            known[name] = study.make(name)
     if study.tuned:
-        write_yaml(folder / TUNED_FILE, _with_gains(study, known))
+        study = _with_gains(study, folder, seeds[0], display)
+    known = {name: study.make(name) for name in study.controllers if name not in study.trained}
     for name in study.trained:
         for label, seed in labels_of(study, name, seeds).items():
             known[label] = _trained(study, label, folder, seed, known, display)
@@ -120,13 +110,19 @@ def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:
     write_yaml(file, described)
 
 
-def _with_gains(study: StudySettings, controllers: Mapping[str, Controller]) -> dict[str, Any]:
-    """The settings of a study with the gains of its tuned controllers, which then need no tuning."""
-    settings: dict[str, Any] = study.model_dump(mode="json")
+def _with_gains(study: StudySettings, folder: Path, seed: int, display: ProgressDisplay) -> StudySettings:
+    """The study with gains in place of the tuning of its controllers; those of the folder, if it has them."""
+    file = folder / TUNED_FILE
+    if file.exists():
+        return study.model_copy(update={"controllers": StudySettings.from_yaml(file).controllers})
+    controllers = dict(study.controllers)
     for name in study.tuned:
-        gains = cast(ClassicalController, controllers[name]).gains
-        settings["controllers"][name] |= {"settings": gains.model_dump(mode="json"), "tune": None}
-    return settings
+        own = folder / "controllers" / name / GAINS_FILE
+        gains = tune_controller(study, name, own, folder, seed, display).gains
+        controllers[name] = controllers[name].changed(settings=gains, tune=None)
+    study = study.model_copy(update={"controllers": controllers})
+    write_yaml(file, study.model_dump(mode="json"))
+    return study
 
 
 def try_out(study: StudySettings) -> None:
@@ -207,7 +203,7 @@ def train_controller(
 
 def tune_controller(
     study: StudySettings, name: str, file: Path, folder: Path, seed: int, display: ProgressDisplay
-) -> Controller:
+) -> ClassicalController:
     """Tune one classical controller of a study with progress on the console; continues after an interruption.
 
     The best gains so far are written after every generation. The file of the final gains says in a comment whether an
@@ -240,7 +236,7 @@ def tune_controller(
     display.update(f"tune {name}", 0, budget.evaluations)
     search = Search(budget.evaluations, seed, budget.cases, start)
     tuned = tune(entry.kind, study.task, search, folder, report)
-    made = make_controller(entry.kind, study.task, tuned.gains.model_dump())
+    made = CONTROLLERS[entry.kind][0](tuned.gains, study.task)
     found = counted_at_rest(made, study.task, STANDSTILLS, STANDSTILL_CASES)
     note = f"{rest_text(found)} (drawn plants and leaks, without sensor noise)"
     write_text(file, gains_text(tuned.gains, note[0].upper() + note[1:]))

@@ -35,7 +35,7 @@ def summary(results: Results) -> pd.DataFrame:
         for group, value, *part in parts_of(results):
             own = grid.cases(controller, *part)
             for metric, about in METRICS.items():
-                chosen = grid.sample(controller, metric, *part).dense
+                chosen = grid.sample(controller, metric, *part)
                 if not chosen.plants:
                     continue
                 worst = own.loc[own[metric].idxmin() if metric == RETURN else own[metric].idxmax()]
@@ -151,8 +151,11 @@ def worst_cases(results: Results) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-@table("limit_cycle_summary", of="limit_cycles")
+@table("limit_cycle_summary")
 def limit_cycle_summary(results: Results) -> pd.DataFrame:
     """Number and largest amplitude of the limit cycles at rest, per controller."""
-    groups = results.part("limit_cycles").groupby("controller", sort=False)
+    cycles = results.part("limit_cycles")
+    if cycles.empty:
+        return cycles
+    groups = cycles.groupby("controller", sort=False)
     return pd.DataFrame([{"controller": name, **counted(own)} for name, own in groups])

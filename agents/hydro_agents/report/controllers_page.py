@@ -69,11 +69,7 @@ class Example(NamedTuple):
 
 @drawn
 def controllers_page(
-    title: str,
-    tables: Mapping[str, pd.DataFrame],
-    *,
-    examples: Sequence[Example] = (),
-    configuration: str = "",
+    title: str, tables: Mapping[str, pd.DataFrame], examples: Sequence[Example] = (), configuration: str = ""
 ) -> Page:
     """The page.
 

@@ -131,7 +131,7 @@ def fingerprint(participant: Any) -> str:
 
 def run_jobs(
     listed: Mapping[str, Job], folder: Path | None, jobs: int | None, progress: Report | None
-) -> tuple[dict[str, JobResult], int]:
+) -> dict[str, JobResult]:
     """Run jobs, or read the results that are already in a folder; after an interruption, finished results stay there.
 
     Long and short jobs run mixed: the rate of the first ones tells how long all will take.
@@ -140,10 +140,10 @@ def run_jobs(
         listed: each job by a unique key.
         folder: of the study; results are files in its :data:`JOBS_FOLDER`. ``None`` keeps none.
         jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
-        progress: called when a job finishes.
+        progress: called once the kept results are read, and when a job finishes.
 
     Returns:
-        The results by the same keys, and the number of results that were read.
+        The results by the same keys.
 
     Raises:
         ConfigurationError: a file cannot be written, or a worker was killed.
@@ -154,16 +154,15 @@ def run_jobs(
         stored = load_result(folder, job)
         if stored is not None:
             results[key] = stored
-    reused = len(results)
     mixed = [key for key in listed if key not in results]
     random.Random(0).shuffle(mixed)
-    report("jobs", reused, len(listed))
+    report("jobs", len(results), len(listed))
     with closing(answers_of({key: listed[key] for key in mixed}, jobs)) as answers:
         for key, result in answers:
             results[key] = result
             save_result(folder, listed[key], result)
             report("jobs", len(results), len(listed))
-    return results, reused
+    return results
 
 
 def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[str, JobResult], None, None]:

@@ -72,12 +72,5 @@ def test_the_shipped_head_serves_its_rig_and_the_one_for_any_axis_the_others():
     reading, found = detector.read(Windows.of(signals), other), ANY.moved_to(other).estimate_windows(signals)
     flagged = found.probability >= ANY.settings.threshold
     np.testing.assert_array_equal((reading.score >= detector.threshold)[reading.answers], flagged[reading.answers])
-
-
-def test_what_no_head_serves_is_refused():
-    deaf = task_config(RIGS[0], sensors={"pressure_b": {"fitted": False}})
-    with refused("reads pressure_b, but this rig has no such sensor"):
-        ANY.moved_to(deaf)
     with refused("must be a leakage head for any axis"):
-        ONE.moved_to(RIGS[0])
-    assert HeadDetector(ONE).refuses(RIGS[0], 10_000) == "the leakage head was trained for another rig"
+        ONE.moved_to(other)
