@@ -17,7 +17,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hydro_agents.evaluation.study import StudySettings
-from hydro_agents.running.folders import config_folder
 from hydro_env import (
     HydroError,
     PlantParameters,
@@ -28,6 +27,7 @@ from hydro_env import (
     simulate,
 )
 from hydro_env.files import read_yaml
+from hydro_env.folders import config_folder
 from hydro_env.plant.workable import refuse_unworkable
 
 NUMBERS = st.one_of(

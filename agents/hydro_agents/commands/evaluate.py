@@ -119,7 +119,7 @@ def evaluate(
 
 def _evaluate_detectors(head: Path | None, options: Options) -> None:
     """Run a leakage protocol; the head of ``--head`` replaces that of the protocol."""
-    from hydro_agents.commands.detector_pages import LEAKAGE_PAGE
+    from hydro_agents.commands.pages import LEAKAGE_PAGE
     from hydro_agents.commands.protocols import run_protocol
     from hydro_agents.detection.detectors import make_detector
     from hydro_agents.evaluation.leak_protocol import LeakProtocol
@@ -155,7 +155,7 @@ def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: i
     """Run a protocol, or the evaluation of a study; agents replace controllers of the study by their names."""
     import yaml
 
-    from hydro_agents.commands.controller_pages import robustness_page, study_page
+    from hydro_agents.commands.pages import robustness_page, study_page
     from hydro_agents.commands.protocols import run_protocol
     from hydro_agents.evaluation.evaluate import ProtocolSettings
     from hydro_agents.evaluation.participants import participants

@@ -153,14 +153,16 @@ def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
     Raises:
         ConfigurationError: a value has another form, or a name is impossible or given twice.
     """
-    from hydro_agents.running.text import check_name
+    from hydro_agents.running.text import NAME_RULE
 
     agents: dict[str, str] = {}
     for text in texts or ():
         name, _, what = text.partition("=")
         if not name or not what:
             raise ConfigurationError(f"--agent {text}: must be NAME=module:attribute or NAME=PATH of weights")
-        check_name(re.split("[#@]", name)[0], "--agent")
+        if not re.fullmatch(NAME_RULE, re.split("[#@]", name)[0]):
+            must = "must be a name of at most 40 letters, digits, spaces and _ . + -, beginning with a letter or digit"
+            raise ConfigurationError(f"--agent '{name[:60]}': {must}")
         if name in agents:
             raise ConfigurationError(f"--agent {text}: the name '{name}' is given twice")
         agents[name] = what

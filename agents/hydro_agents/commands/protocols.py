@@ -1,21 +1,18 @@
-"""Runs a protocol for a command: its folder, its tables, its page, and its main figures on the terminal."""
+"""Runs a protocol for a command: as its options say, in its folder, with the facts of the run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from hydro_agents.commands.options import command_line, working_in
+from hydro_agents.commands.pages import PageOf
 from hydro_agents.evaluation.conditions import Protocol, file_sha256
-from hydro_agents.evaluation.runner import Results, run
-from hydro_agents.report.kit import Page
-from hydro_agents.running.console import ProgressDisplay, console_table
+from hydro_agents.evaluation.runner import run
 from hydro_agents.running.jobs import RESULT_FILES
-from hydro_agents.running.machine import Origin, date_now, machine_description, package_versions
+from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.tasks import timed_task
-from hydro_agents.running.text import Table
-from hydro_env import ConfigurationError
 from hydro_env.files import Group, write_yaml
 
 AnyProtocol = TypeVar("AnyProtocol", bound=Protocol[Any])
@@ -43,43 +40,6 @@ class Options(NamedTuple):
             protocol.task if self.task is None else self.task, self.rig, self.period, self.latency, "evaluate"
         )
         return protocol.moved(task)
-
-
-class PageOf(NamedTuple):
-    """What a command shows of the results of a protocol."""
-
-    file: str
-    draw: Callable[[Results], Page]
-    summary: Callable[[Results], Iterable[Table]]  # the main figures, for the terminal
-    remarks: Callable[[Results], Iterable[str]] = lambda _: ()  # lines after the summary
-
-    @property
-    def files(self) -> list[str]:
-        """Names of the files that :meth:`write` may write."""
-        return ["tables/*.csv", self.file]
-
-    def write(self, results: Results, output: Path, display: ProgressDisplay) -> None:
-        """Write the tables and the page of results into a folder."""
-        results.write(output / "tables")
-        display.update("page", 0, 1)
-        self.draw(results).write(output / self.file, Origin.of(dict(results.facts)))
-        display.update("page", 1, 1)
-
-    def tell(self, results: Results, output: Path, display: ProgressDisplay) -> None:
-        """Print the main figures, and where the results are.
-
-        Raises:
-            ConfigurationError: a participant failed.
-        """
-        for table in self.summary(results):
-            display.console.table(console_table(table, whole=True))
-        for remark in self.remarks(results):
-            display.say(remark)
-        display.say(f"tables: {(output / 'tables').resolve()}")
-        display.say(f"page: {(output / self.file).resolve()}")
-        if errors := results.errors:
-            more = f" (and {len(errors) - 1} more, see tables/status.csv)" if len(errors) > 1 else ""
-            raise ConfigurationError(f"{errors[0]}{more}; {output} holds the other results")
 
 
 def facts_of(**more: str) -> Sequence[tuple[str, str]]:

@@ -30,6 +30,7 @@ from hydro_env import ConfigurationError
 from hydro_env.mistakes import did_you_mean
 
 if TYPE_CHECKING:
+    from hydro_agents.controllers.base import Controller
     from hydro_agents.evaluation.runner import Results
     from hydro_agents.evaluation.study import StudySettings
     from hydro_agents.running.console import ProgressDisplay
@@ -81,7 +82,7 @@ def whole_study(
             or a controller failed (the results of the others are written first).
         KeyboardInterrupt: Ctrl-C; the finished work remains and the study can be resumed.
     """
-    from hydro_agents.commands.controller_pages import study_page
+    from hydro_agents.commands.pages import study_page
     from hydro_agents.commands.protocols import facts_of
     from hydro_agents.evaluation.study_run import CONFIG_FILE, files_of, run_study
     from hydro_agents.running.jobs import JOBS_FOLDER
@@ -183,7 +184,7 @@ def _controller(study: StudySettings, what: str, steps: int | None) -> _Part:
     tuned = one_rig and corrected in study.tuned
 
     def work(folder: Path, seed: int, display: ProgressDisplay) -> None:
-        base = None
+        base: Controller | None = None
         if corrected is not None and tuned:
             base = tune_controller(study, corrected, folder / GAINS_FILE, folder, seed, display)
         elif corrected is not None:

@@ -100,13 +100,6 @@ class HeadSettings(Group):
         return ObservationLayout.of(self.task)
 
 
-class _StoredHead(HeadSettings):
-    """The JSON beside the weights of a head."""
-
-    signals: tuple[str, ...]
-    features: tuple[str, ...]
-
-
 def check_sensors(config: TaskConfig, needed: Sequence[str] = SENSORS) -> None:
     """Check that a rig has the sensors that a head needs.
 
@@ -324,9 +317,9 @@ class LeakageHead:
             ConfigurationError: missing, damaged or foreign files.
         """
         tensors, settings = load_weights(path, KIND)
-        stored = validate(_StoredHead, settings, str(path))
+        stored = validate(HeadSettings, settings, str(path))
         known = FEATURES if stored.law is None else FEATURES + RIG_FEATURES
-        if stored.signals != SIGNALS or stored.features != known:
+        if settings.get("signals") != list(SIGNALS) or settings.get("features") != list(known):
             raise ConfigurationError(f"{path}: was trained on other signals or features than this version reads")
         if stored.longest < stored.window:
             raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")

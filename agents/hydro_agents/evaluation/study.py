@@ -30,7 +30,7 @@ from hydro_agents.learning.loading import (
 )
 from hydro_agents.learning.rig_gains import searched_gains
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
-from hydro_agents.running.tasks import read_settings, read_task, timed_task
+from hydro_agents.running.tasks import mappings, read_task, timed_task
 from hydro_agents.running.text import NAME_RULE
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
@@ -140,8 +140,10 @@ class StudySettings(Group):
             if isinstance(values.get(key), str):
                 with kept(errors):
                     values[key] = read_yaml(file.parent / values.pop(key))
-        with kept(errors):
-            read_settings(values.get("controllers"), file)
+        for entry in mappings(values.get("controllers")).values():
+            if isinstance(entry.get("settings"), str):
+                with kept(errors):
+                    entry["settings"] = read_yaml(file.parent / entry.pop("settings"))
         with kept(errors):
             study = validate(cls, values, str(path))
         refuse(errors, str(path))

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, make_controller
 from hydro_agents.running.cases import check_predict
-from hydro_agents.running.folders import config_folder, shipped_weights
+from hydro_agents.running.folders import shipped_weights
 from hydro_agents.running.weights import weight_files
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_yaml
+from hydro_env.folders import config_folder
 from hydro_env.mistakes import unknown
 from hydro_env.task.law import RigLaw
 from hydro_env.task.paces import outside_law

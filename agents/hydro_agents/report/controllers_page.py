@@ -33,7 +33,7 @@ from hydro_agents.running.cases import Rollout
 from hydro_agents.running.limit_cycles import JUDGED, LEAST_CYCLES, comes_to_rest
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_agents.running.statistics import RESAMPLES
-from hydro_agents.running.text import capitalised, family_name, number, setting
+from hydro_agents.running.text import FAMILY_NAMES, capitalised, number, setting
 
 FEW_PLANTS = 12
 """With fewer plants the intervals are rough; the page says so."""
@@ -252,7 +252,7 @@ def by_kind(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
     names, rows = names_of(tables), rows_of(tables, "comparison", "family")
     if len(rows):
         page.heading("By kind of reference")
-        rows = rows.assign(value=rows["value"].map(family_name))
+        rows = rows.assign(value=rows["value"].replace(FAMILY_NAMES))
         axes = panel(height=height_of(rows["value"].nunique(), len(names)), xlabel=f"error ÷ error of {names[0]}")
         draw(axes, rows, "value", "ratio", names, kind="rows")
         axes.axvline(1.0, color=INK, linewidth=1.0)

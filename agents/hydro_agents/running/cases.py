@@ -251,17 +251,15 @@ def _families(config: TaskConfig) -> list[str]:
     return [name for name, weight in config.references.weights.items() if weight > 0.0]
 
 
-def validation_cases(config: TaskConfig) -> Cases:
-    """One plant for each family of references at three leaks: healthy, incipient, and the largest of the task."""
+def validation_errors(config: TaskConfig, controller: Controller) -> tuple[float, float, int]:
+    """Mean absolute tracking error over all cases (mm), that of the worst case (mm), and number of failed cases.
+
+    The cases are one plant for each family of references at three leaks: healthy, incipient, and the task's largest.
+    """
     leakage, families = config.leakage, _families(config)
     leaks = np.array([math.sqrt(math.prod(leakage.healthy_range)), leakage.class_bounds[1], leakage.faulty_range[1]])
     seeds = np.array(LEARNING_CURVE.take(len(leaks) * len(families)))
-    return Cases(seeds, np.repeat(leaks, len(families)), np.tile(families, len(leaks)))
-
-
-def validation_errors(config: TaskConfig, controller: Controller) -> tuple[float, float, int]:
-    """Mean absolute tracking error over all cases (mm), that of the worst case (mm), and number of failed cases."""
-    run = run_cases(config, controller, validation_cases(config))
+    run = run_cases(config, controller, Cases(seeds, np.repeat(leaks, len(families)), np.tile(families, len(leaks))))
     errors = 1e3 * np.abs(run.position - run.reference).mean(axis=1)
     return float(errors.mean()), float(errors.max()), int((run.failed_at >= 0).sum())
 

@@ -13,7 +13,6 @@ from filelock import FileLock, Timeout
 
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_json, write_whole
-from hydro_env.folders import config_folder as config_folder
 
 MANIFEST_FILE, LOCK_FILE = ".hydro.json", ".hydro.lock"
 _NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)  # of network file systems

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group, read_yaml, validate
-from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
+from hydro_env.files import Group, validate
+from hydro_env.mistakes import did_you_mean, unknown
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS
@@ -150,20 +150,6 @@ def mappings(values: Any) -> dict[str, dict[str, Any]]:
     """The entries of a part of a YAML file that are mappings themselves, by name; the others are refused later."""
     entries = values.items() if isinstance(values, dict) else ()
     return {name: entry for name, entry in entries if isinstance(entry, dict)}
-
-
-def read_settings(controllers: Any, file: Path) -> None:
-    """Replace each controller's ``settings`` by the content of a YAML file, if they are its path relative to ``file``.
-
-    Raises:
-        ConfigurationError: a file cannot be read.
-    """
-    errors: list[ConfigurationError] = []
-    for entry in mappings(controllers).values():
-        if isinstance(entry.get("settings"), str):
-            with kept(errors):
-                entry["settings"] = read_yaml(file.parent / entry.pop("settings"))
-    refuse(errors, str(file))
 
 
 def named_faults(texts: Sequence[str]) -> dict[str, float]:

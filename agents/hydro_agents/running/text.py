@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-
-from hydro_env.errors import ConfigurationError
 
 MOST_DECIMALS = 9
 
@@ -84,11 +81,6 @@ FAMILY_NAMES = {
 }
 
 
-def family_name(family: str) -> str:
-    """Readable name of a family of references."""
-    return FAMILY_NAMES.get(family, family)
-
-
 @dataclass(frozen=True)
 class Table:
     """A table of texts; the first column names its rows."""
@@ -108,15 +100,3 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], left: Collect
 
 NAME_RULE = r"^\w[\w .+-]{0,39}$"
 """Names of controllers: they stand in tables, pages, file names and on the terminal."""
-
-NAME_WORDS = "must be a name of at most 40 letters, digits, spaces and _ . + -, beginning with a letter or digit"
-
-
-def check_name(name: str, place: str) -> None:
-    """Check the name of a controller, without the mark of a seed or condition; ``place`` is for the message.
-
-    Raises:
-        ConfigurationError: it is empty, too long, or holds other characters.
-    """
-    if not re.fullmatch(NAME_RULE.rstrip("$"), name):
-        raise ConfigurationError(f"{place} '{name[:60]}': {NAME_WORDS}")

@@ -8,8 +8,8 @@ from hydro_agents.controllers.flow_model import FlowModel
 from hydro_agents.controllers.motion_filter import MotionFilter
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.running.folders import config_folder
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig, simulate
+from hydro_env.folders import config_folder
 from hydro_env.plant.states import STATE_NAMES
 from hydro_env.task.rig import read_rig
 

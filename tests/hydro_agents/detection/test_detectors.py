@@ -62,7 +62,7 @@ def test_a_detector_of_ones_own_is_named_by_module_and_attribute():
     assert (type(reader).__name__, reader.refuses(CONFIG, 60)) == ("Spread", "")
     with refused("is no leak detector, it has no threshold, refuses, read"):
         make_detector(DetectorChoice(kind="small_leaks:SMALL"))
-    with refused("kind = 'network': must be head, estimator, two_stage, or module:attribute"):
+    with refused("kind = 'network': must be head, estimator, or module:attribute"):
         validate(DetectorChoice, {"kind": "network"}, "own.yaml")
 
 

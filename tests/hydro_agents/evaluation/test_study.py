@@ -7,9 +7,9 @@ from hydro_agents.controllers.pid import PID
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.study import StudySettings, default_study
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import TaskConfig
+from hydro_env.folders import config_folder
 from hydro_env.task.configuration import task_config
 
 POLICY = "PPO on flow linearisation"

@@ -12,7 +12,7 @@ import yaml
 from published import assert_published
 from refusal import refused
 
-from hydro_agents.commands import controller_pages
+from hydro_agents.commands import pages
 from hydro_agents.commands.evaluate import evaluate
 from hydro_agents.commands.study import train, whole_study
 from hydro_agents.evaluation import study_run as training
@@ -91,7 +91,7 @@ def algorithm(tmp_path, monkeypatch):
 def settings(algorithm, monkeypatch):
     """The study; its report has one line: drawing takes longer than everything else here."""
     page = lambda title, *_, **__: SimpleNamespace(write=lambda path, _: path.write_text(title))  # noqa: E731
-    monkeypatch.setattr(controller_pages, "controllers_page", page)
+    monkeypatch.setattr(pages, "controllers_page", page)
     return StudySettings(**VALUES)
 
 

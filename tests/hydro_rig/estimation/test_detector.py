@@ -51,8 +51,8 @@ def test_a_window_that_no_leak_explains_is_unknown():
 
 
 def test_changes_of_the_task_reach_the_fit():
-    detector = make_detector(DetectorChoice(kind="estimator", task={"command_latency_range": (1e-3, 2e-3)}))
-    assert isinstance(detector, EstimatorDetector)
+    assert isinstance(make_detector(DetectorChoice(kind="estimator")), EstimatorDetector)
+    detector = EstimatorDetector({"command_latency_range": (1e-3, 2e-3)})
     assert detector.refuses(TaskConfig(control_period=0.01), 10) == ""
     assert detector.threshold is None
     reading, found = detector.read_and_fit(made("none", 0.5), CONFIG)

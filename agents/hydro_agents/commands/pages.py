@@ -1,23 +1,69 @@
-"""What the commands show of a protocol of controllers: the page, and the main figures on the terminal."""
+"""What a command shows of the results of a protocol: its page, and its main figures on the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import product
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from hydro_agents.commands.protocols import PageOf
+from hydro_agents.evaluation.leak_protocol import DRAWN
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results
 from hydro_agents.report.controllers_page import Example, controllers_page
-from hydro_agents.report.kit import Page
+from hydro_agents.report.kit import Page, as_text
+from hydro_agents.report.leakage_page import leakage_page
 from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.limit_cycles import rest_warning
+from hydro_agents.running.machine import Origin
 from hydro_agents.running.seeds import EXPERIMENT_AXES
-from hydro_agents.running.text import Table
+from hydro_agents.running.text import Table, setting
+from hydro_env import ConfigurationError
 
 EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop moves"}
+
+
+class PageOf(NamedTuple):
+    """What a command shows of the results of a protocol."""
+
+    file: str
+    draw: Callable[[Results], Page]
+    summary: Callable[[Results], Iterable[Table]]  # the main figures, for the terminal
+    remarks: Callable[[Results], Iterable[str]] = lambda _: ()  # lines after the summary
+
+    @property
+    def files(self) -> list[str]:
+        """Names of the files that :meth:`write` may write."""
+        return ["tables/*.csv", self.file]
+
+    def write(self, results: Results, output: Path, display: ProgressDisplay) -> None:
+        """Write the tables and the page of results into a folder."""
+        results.write(output / "tables")
+        display.update("page", 0, 1)
+        self.draw(results).write(output / self.file, Origin.of(dict(results.facts)))
+        display.update("page", 1, 1)
+
+    def tell(self, results: Results, output: Path, display: ProgressDisplay) -> None:
+        """Print the main figures, and where the results are.
+
+        Raises:
+            ConfigurationError: a participant failed.
+        """
+        for table in self.summary(results):
+            display.console.table(console_table(table, whole=True))
+        for remark in self.remarks(results):
+            display.say(remark)
+        display.say(f"tables: {(output / 'tables').resolve()}")
+        display.say(f"page: {(output / self.file).resolve()}")
+        if errors := results.errors:
+            more = f" (and {len(errors) - 1} more, see tables/status.csv)" if len(errors) > 1 else ""
+            raise ConfigurationError(f"{errors[0]}{more}; {output} holds the other results")
+
+
+# Controllers ----------------------------------------------------------------------------------------------------------
 
 
 def robustness_page() -> PageOf:
@@ -79,3 +125,23 @@ def remarks(results: Results) -> Iterator[str]:
     for row in results.table("limit_cycle_summary").to_dict("records"):
         if warning := rest_warning(row["controller"], row, baseline=row["controller"] == results.controllers[0]):
             yield warning
+
+
+# Detectors ------------------------------------------------------------------------------------------------------------
+
+
+def leakage_page_of(results: Results) -> Page:
+    """The page of a leakage protocol."""
+    return leakage_page(results.protocol.title, results.tables(), results.protocol.base)
+
+
+def shares(results: Results) -> Iterator[Table]:
+    """Share of windows that each detector reports under the base condition, by size of the leak."""
+    found, base = results.table("detection"), results.protocol.base
+    found = found[(found["condition"] == base) & (found["level"] != DRAWN)]
+    rates = 100.0 * found.pivot(index="detector", columns="level", values="flagged").loc[found["detector"].unique()]
+    rates = rates.rename(columns=lambda level: f"{setting(level)} l/min" if level > 0.0 else "healthy")
+    yield as_text(rates, f"Windows reported as a leak, %: {base}")
+
+
+LEAKAGE_PAGE = PageOf("leakage.html", leakage_page_of, shares)
