@@ -74,6 +74,7 @@ FILES = {
         ("evaluate --agent \x1b[31mPID=pid", "--agent"),
         (f"simulate --rig {10_000 * 'a'}", "unknown"),
         ("evaluate --head absent", "--head: belongs to --protocol leakage"),
+        ("evaluate --jobs 0", "--jobs"),
         ("study --config study.yaml", "pdi"),
         ("train ppo --resume", "nothing to resume"),
     ],
@@ -212,11 +213,8 @@ def test_a_study_that_was_stopped_is_resumed(tmp_path):
     assert code == 143, errors
     assert own_lines(errors) == [f"hydro: stopped; {folder} keeps the finished work, --resume continues"]
     assert not (folder / "report.html").exists()
-    assert_one_clear_line(hydro("study", "--config", study, "--output", folder), "holds results already")
     done("study", "--config", study, "--output", folder, "--resume")
     assert (folder / "report.html").is_file()
-    for name in ("cases.csv", "comparison.csv"):
-        assert (folder / "tables" / name).stat().st_size > 100
     assert len(list(csv.DictReader((folder / "tables" / "cases.csv").open()))) == 2 * 2 * 2 * 3
     weights = (
         *("--config", folder / "study.yaml"),
@@ -224,8 +222,6 @@ def test_a_study_that_was_stopped_is_resumed(tmp_path):
     )
     into_study = hydro("evaluate", *weights, "--output", folder, "--overwrite")
     assert_one_clear_line(into_study, "was not written by hydro evaluate")
-    other = hydro("study", "--config", study, "--output", folder, "--resume", "--seed", "7")
-    assert_one_clear_line(other, "another seed or other settings")
     listed = json.loads((folder / ".hydro.json").read_text())["files"]["study"]
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} - {".hydro.json"}
     assert set(listed) == found

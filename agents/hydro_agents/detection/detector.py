@@ -214,16 +214,14 @@ class MeasuredColumns(NamedTuple):
         return signals
 
 
-def measured_run(
-    config: TaskConfig, controller: Controller, cases: Cases, states: bool = False
-) -> tuple[Floats, Rollout]:
+def measured_run(config: TaskConfig, controller: Controller, cases: Cases) -> tuple[Floats, Rollout]:
     """Run cases; returns their measured signals (N, 5, T) in SI units, and the runs.
 
     Raises:
         ControllerError: see :func:`~hydro_agents.running.cases.run_cases`.
     """
     measured = MeasuredColumns.of(config)
-    run = run_cases(config, controller, cases, measured.columns, states)
+    run = run_cases(config, controller, cases, measured.columns)
     assert run.signals is not None
     return measured.si(run.signals), run
 

@@ -232,7 +232,7 @@ def simulated_windows(
         ConfigurationError: a run cannot begin.
     """
     controller = ACTING[acting].make(config, len(cases), int(cases.seeds[0]))
-    signals, run = measured_run(config, controller, cases, states=True)
+    signals, run = measured_run(config, controller, cases)
     spare = config.steps - samples
     places = [np.random.default_rng([int(seed), 13]).integers(spare // 2, spare + 1) for seed in cases.seeds]
     error = 1e3 * np.abs(run.position.astype(np.float64) - run.reference).mean(axis=1)

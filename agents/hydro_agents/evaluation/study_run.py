@@ -135,7 +135,7 @@ def try_out(study: StudySettings) -> None:
     for name, entry in study.controllers.items():
         if entry.trainer is None:
             with at(f"controllers.{name}"):
-                run_cases(study.task, study.make(name), cases, states=False)
+                run_cases(study.task, study.make(name), cases)
 
 
 def _trained(

@@ -102,8 +102,7 @@ class Cases:
 class Rollout:
     """One episode of each case; N cases, T control periods; values at the T samples after the first.
 
-    A case that fails (``terminated``) keeps the values of its last sample and gets no further reward. Without
-    ``states`` the arrays of position, reference, command, spool, supply power and reward have the shape (N, 0).
+    A case that fails (``terminated``) keeps the values of its last sample and gets no further reward.
     """
 
     time: NDArray[np.float64]  # (T,), s
@@ -124,7 +123,6 @@ def run_cases(
     controller: Controller,
     cases: Cases,
     signal_columns: Sequence[int] | NDArray[np.int64] | None = None,
-    states: bool = True,
 ) -> Rollout:
     """Run one episode of every case with a controller, all of them together.
 
@@ -133,7 +131,6 @@ def run_cases(
         controller: the controller.
         cases: the episodes; the seed of each case draws all quantities that the case does not fix.
         signal_columns: columns of the observation to keep.
-        states: keep positions, commands and so on as well.
 
     Raises:
         ConfigurationError: the task draws from several rigs.
@@ -153,10 +150,10 @@ def run_cases(
     check_predict(controller)
     if config.law is not None and config.law.count > 1:
         raise ConfigurationError("law: a run is on one rig; rig_tasks(config) lists those of the law")
-    return _run(config, controller, cases, signal_columns, states)
+    return _run(config, controller, cases, signal_columns)
 
 
-def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any, keep_states: bool) -> Rollout:
+def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any) -> Rollout:
     rig = rig_tasks(config)[0]  # the task itself if it draws none
     count, steps = len(cases), rig.steps
     # NEXT_STEP shows the last sample of an episode before its axis restarts.
@@ -165,9 +162,8 @@ def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any,
     axes, memory = env.axes, None
     if isinstance(controller, TrueStateController):
         controller.begin(axes)
-    kept = steps if keep_states else 0
-    traces = {name: np.zeros((count, kept), dtype=np.float32) for name in _TRACES}
-    reference = axes.reference[:, 1 : kept + 1].astype(np.float32)
+    traces = {name: np.zeros((count, steps), dtype=np.float32) for name in _TRACES}
+    reference = axes.reference[:, 1 : steps + 1].astype(np.float32)
     signals = np.zeros((steps, count, len(columns)), dtype=np.float32) if columns is not None else None
     failed_at = np.full(count, -1, dtype=np.int64)
     flow = axes.column("leak_flow").copy()
@@ -180,11 +176,10 @@ def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any,
         started = np.full(count, step == 0)
         action, memory = _act(controller, observation, memory, started, alive, cases, step * rig.control_period)
         observation, rewards, terminated, _, _ = env.step(action)
-        if keep_states:
-            now = _traced(axes) | {"reward": rewards}
-            for name, trace in traces.items():  # a failed axis keeps its values, while its reference continues
-                last = 0.0 if name == "reward" else trace[:, step - 1]
-                trace[:, step] = np.where(alive, now[name], last)
+        now = _traced(axes) | {"reward": rewards}
+        for name, trace in traces.items():  # a failed axis keeps its values, while its reference continues
+            last = 0.0 if name == "reward" else trace[:, step - 1]
+            trace[:, step] = np.where(alive, now[name], last)
         flow = np.where(alive, axes.column("leak_flow"), flow)
         failed_at[alive & terminated] = step
     env.close()

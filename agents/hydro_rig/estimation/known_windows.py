@@ -81,7 +81,7 @@ def known_windows(
         raise ConfigurationError(f"window = {length:g} s: must last two control periods or more")
     task = task_config(steady(config), episode_duration=(first + periods + 1) * config.control_period)
     watcher = _Watcher(controller, first, periods + 1)
-    run = run_cases(task, watcher, cases, states=False)
+    run = run_cases(task, watcher, cases)
     kept = np.flatnonzero((run.failed_at < 0) | (run.failed_at >= first + periods))
     if not len(kept):
         raise ConfigurationError(f"windows: all {len(cases)} axes failed before the end of their window")

@@ -76,8 +76,7 @@ def test_the_detector_of_the_page_works_in_the_protocol_and_under_an_alarm(tmp_p
     detector = make_detector(DetectorChoice(kind="my_detector:AlikePressures"))
     tight, leaking = (detector.read(made("none", leak, 400), CONFIG) for leak in (0.01, 10.0))
     assert leaking.score.mean() > tight.score.mean()
-    blind = TaskConfig(sensors={"pressure_a": {"fitted": False}})
-    assert "needs both pressures" in detector.refuses(blind, 400)
+    assert "needs both pressures" in detector.refuses(TaskConfig(sensors={"pressure_a": {"fitted": False}}), 400)
 
 
 @pytest.mark.parametrize("count", [1, 100, 1000])

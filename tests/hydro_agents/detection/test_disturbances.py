@@ -40,7 +40,7 @@ def test_the_supply_follows_its_course(direct):
     watcher = Watcher()
     disturbances = moved(SUPPLY, np.where(TIME < 1.0, 0.0, 0.05), 2, direct)
     cases = Cases(np.array(DETECTION.take(2)), np.full(2, 0.01), np.full(2, "step"))
-    run_cases(CONFIG, Disturbed(watcher, disturbances), cases, states=False)
+    run_cases(CONFIG, Disturbed(watcher, disturbances), cases)
     seen = np.array(watcher.seen)
     assert seen[-1] / seen[190] == pytest.approx(1.05, abs=0.005)
     assert (seen[205] / seen[190] > 1.045).all() == direct  # the accumulator of the paper's rig takes longer
@@ -53,7 +53,7 @@ def test_the_shipped_head_marks_windows_with_a_swinging_supply_as_outside_and_no
     for size in (0.0, 0.05):
         disturbances = moved(SUPPLY, size * np.sin(np.pi * TIME), axes, False)
         controller = Disturbed(shipped("pid", CONFIG), disturbances)
-        run = run_cases(CONFIG, controller, Cases(seeds, np.full(axes, 0.01)), measured.columns, states=False)
+        run = run_cases(CONFIG, controller, Cases(seeds, np.full(axes, 0.01)), measured.columns)
         shares.append(head.estimate_windows(measured.si(run.signals)[:, :, 300:]).outside.mean())
     assert shares[0] <= 0.05
     assert shares[1] >= 0.9

@@ -165,6 +165,3 @@ def test_all_tables_of_a_run_are_written(tmp_path):
     changes = pd.read_csv(tmp_path / "conditions.csv")["changes"].tolist()
     assert changes == ["{}", '{"task": {"command_latency": 0.004}}']
     assert results.table("worst_cases").groupby("controller").size().to_dict() == {"P": 2, "Q": 2}
-    alone = run(small(conditions={"plain": {}}), Participants({"P": Proportional()}), jobs=1)
-    assert alone.table("comparison").empty
-    assert alone.table("ranking")["controller"].tolist() == ["P"]
