@@ -24,8 +24,8 @@ def small(**changes):
 
 
 def ran(protocol=None, detectors=None, **options):
-    """Results of a small protocol; by default with one detector, in this process."""
-    return run(protocol or small(), detectors or {"D": Spread()}, **{"jobs": 1, **options})
+    """Results of a small protocol; by default with one detector."""
+    return run(protocol or small(), detectors or {"D": Spread()}, **options)
 
 
 class Spread:

@@ -274,7 +274,7 @@ def try_evaluation() -> None:
     assert protocol.parameters_in("thin_oil")["fluid"]["bulk_modulus"] == 0.7 * protocol.task.plant.fluid.bulk_modulus
     assert protocol.task_in("thin_oil").plant == protocol.task.plant
     chosen = participants({"PID": "pid", "Flow linearisation": "flow_linearising"}, protocol)
-    tables = run_protocol(protocol, chosen, jobs=1).tables()
+    tables = run_protocol(protocol, chosen).tables()
     compared = tables["comparison"]
     assert set(compared.loc[compared["group"] == "condition", "value"]) == {"leak_8", "thin_oil"}
 

@@ -68,6 +68,6 @@ def run_protocol(protocol: Protocol[Any], chosen: Any, options: Options, page: P
     writes = [file, RESULT_FILES, *page.files]
     with working_in(output, "evaluate", writes, options.resume, options.overwrite) as display:
         write_yaml(output / file, settings.model_dump(mode="json"))
-        results = run(protocol, chosen, output, None, display.update, facts)
+        results = run(protocol, chosen, output, display.update, facts)
         page.write(results, output, display)
     page.tell(results, output, display)

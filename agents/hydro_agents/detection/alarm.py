@@ -87,7 +87,6 @@ class Alarm(NamedTuple):
 
     alarm: Flags  # latched until ``reset``
     total: Floats  # the sum divided by its threshold; the alarm rises above 1
-    learnt: Flags  # whether the axis's own baseline is known for its present activity
 
 
 class LeakAlarm:
@@ -153,19 +152,8 @@ class LeakAlarm:
         after = AlarmState(state.mean.copy(), state.seen.copy(), total, alarm)
         after.mean[axes, activity] += np.where(learns, np.clip(score - mean, -reach, reach) / (seen + 1.0), 0.0)
         after.seen[axes, activity] += learns
-        known = after.seen[axes, activity] >= self._learning[activity]
-        return Alarm(alarm, total / self.settings.threshold, known), after
+        return Alarm(alarm, total / self.settings.threshold), after
 
-    def reset(self, state: AlarmState, axes: Flags, relearn: bool = False) -> AlarmState:
-        """Acknowledge the alarms of some axes (N,): their evidence starts at zero again.
-
-        ``relearn`` forgets their baselines too, as after a repair.
-        """
-        fresh = self.begin(len(state.alarm))
-        chosen = {}
-        for name in state._fields:
-            old = getattr(state, name).copy()
-            if relearn or name not in ("mean", "seen"):
-                old[axes] = getattr(fresh, name)[axes]
-            chosen[name] = old
-        return AlarmState(**chosen)
+    def reset(self, state: AlarmState, axes: Flags) -> AlarmState:
+        """Acknowledge the alarms of some axes (N,): their evidence starts at zero again, their baselines stay."""
+        return state._replace(total=np.where(axes, 0.0, state.total), alarm=state.alarm & ~axes)

@@ -101,7 +101,7 @@ def train_head(
         def report(_: str, done: int, total: int, phase: str = phase) -> None:
             tell(phase, done, total, math.nan)
 
-        found = run_jobs(jobs, folder, None, report)
+        found = run_jobs(jobs, folder, report)
         for result in found.values():
             if result.error:
                 raise ConfigurationError(result.error)

@@ -101,7 +101,7 @@ def on_drawn_rigs(
         digest = what if of_rig else fingerprint(controller)
         for number in range(drawn.law.count):
             jobs[f"{name}|{number}"] = Job(on_rig, controller, (what, drawn, number, plants), digest)
-    answers = run_jobs(jobs, folder, None, progress)
+    answers = run_jobs(jobs, folder, progress)
     rows = []
     for key in jobs:
         name, answer = key.partition("|")[0], answers[key]

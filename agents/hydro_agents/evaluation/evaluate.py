@@ -96,7 +96,7 @@ def evaluate(
     if not isinstance(settings, ProtocolSettings):
         settings = validate(ProtocolSettings, settings or {}, "evaluation")
     protocol = settings.protocol(config)
-    results = run(protocol, participants(controllers, protocol), folder, progress=progress)
+    results = run(protocol, participants(controllers, protocol), folder, progress)
     for message in results.errors:
         warnings.warn(message, stacklevel=2)
     return results

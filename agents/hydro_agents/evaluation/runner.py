@@ -133,11 +133,10 @@ def run(
     protocol: Protocol[Any],
     chosen: Any,
     folder: Path | None = None,
-    jobs: int | None = None,
     progress: Report | None = None,
     facts: Sequence[tuple[str, str]] = (),
 ) -> Results:
-    """Run all jobs of a protocol; finished ones in the folder are read, not run.
+    """Run all jobs of a protocol where the active ``parallel_config`` says; finished ones in the folder are read.
 
     An interruption keeps the finished jobs (:mod:`hydro_agents.running.jobs`).
 
@@ -145,7 +144,6 @@ def run(
         protocol: conditions and parts.
         chosen: the participants.
         folder: for the results of the jobs, one file each; ``None`` keeps none.
-        jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
         progress: called with the name of the phase, the number of finished jobs, and their total.
         facts: more rows of the table ``protocol``: key and value.
 
@@ -160,7 +158,7 @@ def run(
         # Equal jobs have one key and run once: conditions that differ only in their references share standstills.
         keys.append([job.file if job.digest else f"{number}|{place}" for place, job in enumerate(cell.jobs)])
         listed |= dict(zip(keys[-1], cell.jobs, strict=True))
-    answers = run_jobs(listed, folder, jobs, progress)
+    answers = run_jobs(listed, folder, progress)
     rows, statuses = collect(cells, [[answers[key] for key in own] for own in keys], protocol.who)
     if protocol.parts[0] not in rows:
         reasons = statuses[statuses["message"] != ""].drop_duplicates(protocol.who)

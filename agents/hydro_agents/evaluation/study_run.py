@@ -93,7 +93,7 @@ def run_study(
             known[label] = _trained(study, label, folder, seed, known, display)
     controllers = {label: known[label] for name in study.controllers for label in labels_of(study, name, seeds)}
     protocol = study.evaluation.protocol(study.task, study.title)
-    return run(protocol, participants(controllers, protocol, study.corrects), folder, None, display.update, facts)
+    return run(protocol, participants(controllers, protocol, study.corrects), folder, display.update, facts)
 
 
 def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:

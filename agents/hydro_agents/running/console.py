@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -82,12 +82,10 @@ class ProgressDisplay:
 
     Args:
         console: where to show it; default: standard output.
-        clock: seconds of a clock that never goes back.
     """
 
-    def __init__(self, console: PlainConsole | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, console: PlainConsole | None = None) -> None:
         self.console = console or PlainConsole()
-        self._clock = clock
         self._progress = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=20),
@@ -95,7 +93,6 @@ class ProgressDisplay:
             TimeRemainingColumn(compact=True),
             TextColumn("{task.fields[note]}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis")),
             console=self.console,
-            get_time=clock,
             speed_estimate_period=ESTIMATED_FROM,
         )
         self._tasks: dict[str, TaskID] = {}
@@ -116,10 +113,10 @@ class ProgressDisplay:
         if phase not in self._tasks:
             self._tasks[phase] = self._progress.add_task(phase, completed=done, total=total, note=note)
         self._progress.update(self._tasks[phase], completed=done, total=total, note=note)
-        silence = self._clock() - self._printed.get(phase, -math.inf)
+        silence = time.monotonic() - self._printed.get(phase, -math.inf)
         if self._live or (done < total and silence < SECONDS_BETWEEN_LINES):
             return
-        self._printed[phase] = self._clock()
+        self._printed[phase] = time.monotonic()
         task = self._progress.tasks[self._tasks[phase]]
         parts = [f"{phase}: {task.percentage:3.0f} %, {done:,} of {total:,}"]
         if task.time_remaining:

@@ -129,9 +129,7 @@ def fingerprint(participant: Any) -> str:
         return ""
 
 
-def run_jobs(
-    listed: Mapping[str, Job], folder: Path | None, jobs: int | None, progress: Report | None
-) -> dict[str, JobResult]:
+def run_jobs(listed: Mapping[str, Job], folder: Path | None, progress: Report | None) -> dict[str, JobResult]:
     """Run jobs, or read the results that are already in a folder; after an interruption, finished results stay there.
 
     Long and short jobs run mixed: the rate of the first ones tells how long all will take.
@@ -139,7 +137,6 @@ def run_jobs(
     Args:
         listed: each job by a unique key.
         folder: of the study; results are files in its :data:`JOBS_FOLDER`. ``None`` keeps none.
-        jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
         progress: called once the kept results are read, and when a job finishes.
 
     Returns:
@@ -157,7 +154,7 @@ def run_jobs(
     mixed = [key for key in listed if key not in results]
     random.Random(0).shuffle(mixed)
     report("jobs", len(results), len(listed))
-    with closing(answers_of({key: listed[key] for key in mixed}, jobs)) as answers:
+    with closing(answers_of({key: listed[key] for key in mixed})) as answers:
         for key, result in answers:
             results[key] = result
             save_result(folder, listed[key], result)
@@ -165,15 +162,11 @@ def run_jobs(
     return results
 
 
-def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[str, JobResult], None, None]:
+def answers_of(waiting: Mapping[str, Job]) -> Generator[tuple[str, JobResult], None, None]:
     """Results of jobs in the order of completion, each with its key; those of closed ones are lost.
 
     A participant that has no :func:`fingerprint` stays in this process. So does the first of the other jobs: they read
     the code that it compiled from the disk.
-
-    Args:
-        waiting: the jobs.
-        jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
 
     Raises:
         ConfigurationError: a worker was killed.
@@ -186,7 +179,7 @@ def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[
         yield _run_alone(key, waiting[key])
     if not left:
         return
-    pool: Any = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")
+    pool: Any = Parallel(batch_size=1, return_as="generator_unordered")
     answers = pool(delayed(_run_alone)(key, job) for key, job in left.items())
     try:
         for answer in answers:  # noqa: UP028 (`yield from` would close the answers before the warning is off)

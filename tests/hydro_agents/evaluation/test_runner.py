@@ -20,7 +20,7 @@ def two():
 @pytest.fixture(scope="module")
 def alone():
     """A protocol whose jobs ran one after another in this process."""
-    return run(small(**ROOM), two(), jobs=1)
+    return run(small(**ROOM), two())
 
 
 def assert_same(results, other):
@@ -45,10 +45,10 @@ def test_an_interrupted_run_keeps_its_finished_jobs_and_goes_on(alone, tmp_path)
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        run(small(**ROOM), two(), tmp_path, jobs=1, progress=stop)
+        run(small(**ROOM), two(), tmp_path, progress=stop)
     assert len(list((tmp_path / JOBS_FOLDER).iterdir())) == 3
     counts = []
-    results = run(small(**ROOM), two(), tmp_path, jobs=1, progress=lambda *report: counts.append(report))
+    results = run(small(**ROOM), two(), tmp_path, progress=lambda *report: counts.append(report))
     assert counts[0][1] == 3
     assert counts[-1][1] == counts[-1][2]
     assert_same(results, alone)
@@ -68,7 +68,7 @@ class Fussy(Proportional):
 
 def test_a_controller_that_fails_loses_what_it_fails_under_alone():
     conditions = {"plain": {}, "few": {"plants": 4, "leak_levels": [0.03], "families": ["step", "sine"]}}
-    results = run(small(conditions=conditions, chunk=6), Participants({"P": Proportional(), "fussy": Fussy()}), jobs=1)
+    results = run(small(conditions=conditions, chunk=6), Participants({"P": Proportional(), "fussy": Fussy()}))
     assert set(results.part("cases").query("controller == 'fussy'")["condition"]) == {"plain"}
     (error,) = results.errors
     assert results.status.set_index(["controller", "condition"]).loc[("fussy", "few"), "status"] == FAILED
@@ -78,7 +78,7 @@ def test_a_controller_that_fails_loses_what_it_fails_under_alone():
 
 def test_a_condition_that_cannot_begin_is_told_and_the_others_stay():
     conditions = {"plain": {}, "bent": {"parameters": {"load.external_force": 9e4}}}
-    results = run(small(conditions=conditions), Participants({"P": Proportional()}), jobs=1)
+    results = run(small(conditions=conditions), Participants({"P": Proportional()}))
     assert set(results.part("cases")["condition"]) == {"plain"}
     assert "P under bent: the condition cannot begin:" in results.errors[0]
 
@@ -94,7 +94,7 @@ def test_other_periods_and_rigs_need_controllers_of_their_own():
     }
     protocol = small(conditions=conditions)
     chosen = participants({"PID": "pid"}, protocol)
-    results = run(protocol, chosen, jobs=1)
+    results = run(protocol, chosen)
     status = results.status.set_index("condition")
     assert status.loc["plain", "status"] == DONE
     assert status.loc["slow", "status"] == status.loc["rig", "status"] == NOT_APPLICABLE
@@ -103,7 +103,7 @@ def test_other_periods_and_rigs_need_controllers_of_their_own():
     choice = {"PID": {"proportional": 15.0}}
     named = small(conditions={"plain": {}, "slow": {**conditions["slow"], "controllers": choice}})
     ready = participants({"PID": "pid"}, named)
-    assert set(run(named, ready, jobs=1).part("cases")["condition"]) == {"plain", "slow"}
+    assert set(run(named, ready).part("cases")["condition"]) == {"plain", "slow"}
     assert ready.of("PID", "slow", named).gains.proportional == 15.0
     assert ready.of("PID", "slow", named).layout.control_period == 0.01
     assert ready.of("PID", "plain", named).layout.control_period == 0.005

@@ -157,7 +157,7 @@ def test_worst_cases_can_be_found_again():
 def test_all_tables_of_a_run_are_written(tmp_path):
     protocol = small(standstill_plants=3)
     chosen = Participants({"P": Proportional(), "Q": Proportional(20.0)})
-    results = run(protocol, chosen, jobs=1, facts=[("date", "today")])
+    results = run(protocol, chosen, facts=[("date", "today")])
     results.write(tmp_path)
     assert_published("robustness", tmp_path)
     facts = pd.read_csv(tmp_path / "protocol.csv").set_index("key")["value"]

@@ -11,14 +11,6 @@ NOTE = "12,345 steps/s, mean reward -0.1234 [v2]"
 PHASE = "leakage head, training"
 
 
-class Clock:
-    def __init__(self):
-        self.now = 100.0
-
-    def __call__(self):
-        return self.now
-
-
 @pytest.fixture(autouse=True)
 def variables(monkeypatch):
     """The variables that tell a program what its terminal can do."""
@@ -27,22 +19,14 @@ def variables(monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
 
 
-def display_on(file, width=80, clock=None):
-    console = PlainConsole(file=file, width=width, color_system=None)
-    return ProgressDisplay(console, clock=clock or Clock())
-
-
-def shown(file, width=80):
-    with display_on(file, width) as display:
+def test_off_a_terminal_lines_come_at_once_and_as_they_are(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    file = io.StringIO()
+    with ProgressDisplay(PlainConsole(file=file, width=80, color_system=None)) as display:
         display.update(PHASE, 0, 2_000_000)
         display.update(PHASE, 2_000_000, 2_000_000, NOTE)
         display.say("written: a[/b]c/results[v2]/:smile:")
-    return file.getvalue()
-
-
-def test_off_a_terminal_lines_come_at_once_and_as_they_are(monkeypatch):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    assert shown(io.StringIO()).splitlines() == [
+    assert file.getvalue().splitlines() == [
         f"{PHASE}:   0 %, 0 of 2,000,000",
         f"{PHASE}: 100 %, 2,000,000 of 2,000,000, {NOTE}",
         "written: a[/b]c/results[v2]/:smile:",

@@ -35,7 +35,7 @@ def bits(results):
 
 @pytest.fixture(scope="module")
 def expected():
-    return run_jobs(roots(), None, None, None)
+    return run_jobs(roots(), None, None)
 
 
 def test_workers_give_the_same_bits_and_a_job_starts_no_others(expected, monkeypatch):
@@ -44,8 +44,8 @@ def test_workers_give_the_same_bits_and_a_job_starts_no_others(expected, monkeyp
     with workers(2), warnings.catch_warnings():
         warnings.simplefilter("error")
         assert effective_n_jobs(None) == 2
-        found = run_jobs(roots(), None, None, None)
-        answers = answers_of(roots(), None)  # those that are left early end without a word
+        found = run_jobs(roots(), None, None)
+        answers = answers_of(roots())  # those that are left early end without a word
         next(answers)
         next(answers)
         answers.close()
@@ -59,7 +59,7 @@ def test_the_cluster_of_a_block_runs_the_jobs_and_stays(expected):
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         with parallel_config("dask", client=client):
             assert effective_n_jobs(None) == 2
-            found = run_jobs(roots(), None, None, None)
+            found = run_jobs(roots(), None, None)
         assert client.submit(abs, -2).result() == 2
     assert bits(found) == bits(expected)
 
@@ -75,15 +75,15 @@ def test_a_job_that_is_run_here_is_kept_in_a_folder_and_read_from_there(tmp_path
 
 def test_after_a_killed_worker_finished_results_are_not_computed_again(tmp_path, expected):
     with workers(2), refused("a worker process was killed .*--resume and a smaller --jobs"):
-        run_jobs({**roots(), "3": roots(fatal=True)["3"]}, tmp_path, None, None)
+        run_jobs({**roots(), "3": roots(fatal=True)["3"]}, tmp_path, None)
     kept = {file: file.stat().st_mtime_ns for file in (tmp_path / JOBS_FOLDER).iterdir()}
     assert kept
-    found = run_jobs(roots(), tmp_path, None, None)
+    found = run_jobs(roots(), tmp_path, None)
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
     assert bits(found) == bits(expected)
     for file in (tmp_path / JOBS_FOLDER).iterdir():  # damaged
         file.write_bytes(file.read_bytes()[:60])
-    assert bits(run_jobs(roots(), tmp_path, None, None)) == bits(expected)
+    assert bits(run_jobs(roots(), tmp_path, None)) == bits(expected)
 
 
 def test_a_job_of_the_rig_package_follows_its_code_too(monkeypatch):
