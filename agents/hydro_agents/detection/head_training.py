@@ -30,7 +30,7 @@ from hydro_agents.detection.head import (
 )
 from hydro_agents.detection.intervals import COVERAGE, GROUPS, WIDTHS, distances, groups, quantiles
 from hydro_agents.detection.training_settings import HeadTrainingSettings
-from hydro_agents.running.jobs import Job, run_jobs
+from hydro_agents.running.jobs import run_jobs
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_env import ConfigurationError, TaskConfig
 
@@ -44,8 +44,6 @@ FALSE_ALARM_RATE = 0.01
 
 CHANGING_SHARE = 0.15  # share of the windows that are treated as windows with a changing leak
 OUTSIDE_RATE = 0.01  # share of undisturbed validation windows that each of the two limits of "outside" marks
-
-SPLITS = {"data": "training", "validation": "validation"}  # of a law's rigs, for each phase of simulation
 
 Progress = Callable[[str, int, int, float], None]
 
@@ -95,36 +93,27 @@ def train_head(
     began = time.monotonic()
     tell: Progress = progress or (lambda *_: None)
     start = None if settings.start is None else LeakageHead.load(settings.start)  # a wrong path is told at once
-    windows: dict[str, LabelledWindows] = {}
-    for phase, jobs in simulations(config, controllers, settings, seed).items():
 
-        def report(_: str, done: int, total: int, phase: str = phase) -> None:
-            tell(phase, done, total, math.nan)
-
-        found = run_jobs(jobs, folder, report)
+    def windows(phase: str, split: str, episodes: int, first_seed: int) -> LabelledWindows:
+        jobs = TrainingPlan(config, controllers, settings, split).jobs(episodes, first_seed)
+        found = run_jobs(jobs, folder, lambda _, done, total: tell(phase, done, total, math.nan))
         for result in found.values():
             if result.error:
                 raise ConfigurationError(result.error)
-        windows[phase] = LabelledWindows.joined([LabelledWindows(**found[key].metrics) for key in jobs])
+        return LabelledWindows.joined([LabelledWindows(**found[key].metrics) for key in jobs])
+
     record: dict[str, Any] = {"seed": seed, "settings": settings.model_dump(mode="json")}
-    if start is None:
-        tensors = fitted(windows["data"], settings, seed, tell)
-    else:
+    for_limits = "validation", "validation", settings.validation_episodes, THRESHOLDS.first
+    if start is not None:
+        validation = windows(*for_limits)
         tensors, record["before"] = dict(start.tensors), start.settings.training
-    head = calibrated(tensors, config, settings.longest_window(config), windows["validation"], record)
+    else:
+        first = HEAD_TRAINING.training(seed, settings.episodes).start
+        data, validation = windows("data", "training", settings.episodes, first), windows(*for_limits)
+        tensors = fitted(data, settings, seed, tell)
+    head = calibrated(tensors, config, settings.longest_window(config), validation, record)
     head.settings.training["seconds"] = round(time.monotonic() - began, 1)
     return head
-
-
-def simulations(
-    config: TaskConfig, controllers: Sequence[Controller], settings: HeadTrainingSettings, seed: int
-) -> dict[str, dict[str, Job]]:
-    """The simulations of a training's data, unless a head is there to start with, and of its validation."""
-    plans = {phase: TrainingPlan(config, controllers, settings, split) for phase, split in SPLITS.items()}
-    jobs = {"validation": plans["validation"].jobs(settings.validation_episodes, THRESHOLDS.first)}
-    if settings.start is not None:
-        return jobs
-    return {"data": plans["data"].jobs(settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start)} | jobs
 
 
 def loss_of(output: Tensor, labels: Tensor, size: Tensor) -> Tensor:
