@@ -161,9 +161,9 @@ def _controller(what: str, request: _Request, name: str, gains: Gains | None) ->
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.loading import GainsOrigin, origin_of_gains, trained_for
     from hydro_rig.export.controller_folder import exported_files, files_of
-    from hydro_rig.export.onnx_writer import onnx_package
+    from hydro_rig.export.onnx_writer import package
 
-    onnx_package()  # report a missing package at the start
+    package("onnx")  # report a missing package at the start
     controller, config = _controller_and_task(what, request, gains)
     made_for = trained_for(controller)
     if made_for is not None and made_for != config.plant:

@@ -49,23 +49,16 @@ class Node:
     sizes: tuple[int, int, int] = (1, 1, 1)  # of matmul and sum
     name: str = ""
     origin: str = ""  # its line of Python
-
-    def piece(self, place: int) -> tuple[Node, int]:
-        """The operand of a ``collect`` that provides an element, and its index there."""
-        assert self.table is not None
-        offset = int(self.table[place])
-        for source in self.operands:
-            if offset < source.size:
-                return source.piece(offset) if source.operation == "collect" else (source, offset)
-            offset -= source.size
-        raise AssertionError("a place beyond the operands")
+    first: int = 0  # number of its first element among all those of its builder
 
     @cached_property
     def runs(self) -> list[EvenRun]:
         """A ``collect`` as stretches with equal steps."""
+        assert self.table is not None
+        pieces = [(source, place) for source in self.operands for place in range(source.size)]
         runs: list[EvenRun] = []
-        for element in range(self.size):
-            source, place = self.piece(element)
+        for element, number in enumerate(self.table):
+            source, place = pieces[number]
             if runs:
                 run = runs[-1]
                 step = place - run.start if run.length == 1 else run.step
@@ -128,14 +121,15 @@ def needed(outputs: Sequence[Node]) -> set[Node]:
 
 @dataclass
 class Builder:
-    """Makes nodes: it evaluates constants, merges nested ``collect`` nodes, and keeps equal nodes only once."""
+    """Makes nodes: it evaluates constants, numbers all elements, and keeps equal nodes only once."""
 
     inputs: dict[str, Node] = field(default_factory=dict)
     _made: dict[Any, Node] = field(default_factory=dict)
+    _elements: list[tuple[Node, int]] = field(default_factory=list)  # of inputs, constants and results
 
     def input(self, name: str, size: int, kind: np.dtype[Any]) -> Node:
         """A new input."""
-        self.inputs[name] = Node("input", (), size, kind, name=name)
+        self.inputs[name] = self._numbered(Node("input", (), size, kind, name=name))
         return self.inputs[name]
 
     def constant(self, values: Any, name: str = "") -> Node:
@@ -149,12 +143,9 @@ class Builder:
             return self.constant(value, details.get("name", ""))
         return self._named(Node(operation, tuple(operands), value.size, value.dtype, **details))
 
-    def collect(self, operands: Sequence[Node], places: NDArray[np.int64], **details: Any) -> Node:
-        """Elements of the concatenated operands at ``places``, (size,)."""
-        if not places.size:
-            return self.constant(np.empty(0, operands[0].kind))
-        whole = Node("collect", tuple(operands), places.size, operands[0].kind, places)
-        pieces = [whole.piece(element) for element in range(places.size)]
+    def collect(self, numbers: NDArray[np.int64], kind: np.dtype[Any], **details: Any) -> Node:
+        """The node that holds some elements, by their numbers, (size,)."""
+        pieces = [self._elements[number] for number in numbers]
         firsts: dict[Node, int] = {}
         total = 0
         for source, _ in pieces:
@@ -165,9 +156,9 @@ class Builder:
         if len(firsts) == 1 and np.array_equal(table, np.arange(total)):
             return pieces[0][0]
         if all(source.operation == "constant" for source in firsts):
-            values = np.concatenate([source.table for source in firsts if source.table is not None])
-            return self.constant(values[table], details.get("name", ""))
-        return self._named(Node("collect", tuple(firsts), table.size, whole.kind, table, **details))
+            values = [source.table[offset] for source, offset in pieces if source.table is not None]
+            return self.constant(np.array(values, dtype=kind), details.get("name", ""))
+        return self._named(Node("collect", tuple(firsts), table.size, kind, table, **details))
 
     def _named(self, node: Node) -> Node:
         node.name = node.name or inherited(node.operands, node.origin)
@@ -175,7 +166,15 @@ class Builder:
 
     def _once(self, node: Node) -> Node:
         table = None if node.table is None else (node.table.tobytes(), node.table.dtype.str)
-        return self._made.setdefault((node.operation, node.operands, node.kind.str, table, node.sizes), node)
+        key = (node.operation, node.operands, node.kind.str, table, node.sizes)
+        if key not in self._made:
+            self._made[key] = self._numbered(node)
+        return self._made[key]
+
+    def _numbered(self, node: Node) -> Node:
+        node.first = len(self._elements)
+        self._elements += [(node, offset) for offset in range(node.size)]
+        return node
 
 
 def inherited(operands: Collection[Node], origin: str) -> str:

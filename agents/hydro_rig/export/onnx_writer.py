@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError, HydroError, __version__
-from hydro_rig.export.controller import ANSWER, CONTINUED, OUTPUT, STARTED, ControllerGraph
+from hydro_rig.export.controller import ANSWER, CONTINUED, OUTPUT, STARTED, ControllerGraph, facts_of
 from hydro_rig.export.graph import Builder, Node, in_order
 
 OPSET = 17
@@ -24,30 +25,21 @@ _OPERATORS = {
 }  # fmt: skip
 
 
-def onnx_package() -> Any:
-    """The package onnx.
+def package(name: str) -> Any:
+    """The package onnx or onnxruntime.
 
     Raises:
-        ConfigurationError: the package is not installed.
+        ConfigurationError: it is not installed.
     """
     try:
-        import onnx
+        return import_module(name)
     except ImportError:
-        raise ConfigurationError("ONNX needs the package onnx: pip install 'hydro_env[export]'") from None
-    return onnx
+        raise ConfigurationError(f"ONNX needs the package {name}: pip install 'hydro_env[export]'") from None
 
 
 def onnx_session(model: bytes) -> Any:
-    """A session of onnxruntime on one thread.
-
-    Raises:
-        ConfigurationError: onnxruntime is not installed.
-    """
-    try:
-        import onnxruntime
-    except ImportError:
-        text = "the check of an ONNX model needs the package onnxruntime: pip install 'hydro_env[export]'"
-        raise ConfigurationError(text) from None
+    """A session of onnxruntime on one thread, without warnings."""
+    onnxruntime = package("onnxruntime")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
@@ -58,18 +50,18 @@ class OnnxWriter:
     """Collects the operators of one ONNX model.
 
     Args:
-        inputs: size and type of each input of the model, by name.
+        inputs: of the model, by name.
         outputs: names of its outputs, which no other tensor may have.
     """
 
-    def __init__(self, inputs: Mapping[str, tuple[int, np.dtype[Any]]], outputs: Sequence[str]) -> None:
-        self._onnx = onnx_package()
+    def __init__(self, inputs: Mapping[str, Node], outputs: Sequence[str]) -> None:
+        self._onnx = package("onnx")
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
         self._places: dict[bytes, str] = {}
         self._names: dict[Node, str] = {}
         self._used: Counter[str] = Counter([*inputs, *outputs])
-        self._inputs = [self._described(name, size, kind) for name, (size, kind) in inputs.items()]
+        self._inputs = [self._described(name, node) for name, node in inputs.items()]
         self.given = {name: name for name in inputs}
         """Tensor of each input of a graph: inputs of the model, and tensors that the caller computes from them."""
 
@@ -79,14 +71,6 @@ class OnnxWriter:
             if one not in self._names:
                 self._names[one] = self._written(one)
         return self._names[node]
-
-    def gathered(self, tensor: str, places: NDArray[np.int64], name: str) -> str:
-        """Elements of a tensor at constant places as a separate tensor."""
-        return self.add("Gather", [tensor, self._constant(places, f"{name}_places")], name, axis=0)
-
-    def cast(self, tensor: str, kind: np.dtype[Any], wanted: np.dtype[Any], name: str) -> str:
-        """A tensor of one type in another one."""
-        return tensor if kind == wanted else self.add("Cast", [tensor], name, to=self._type(wanted))
 
     def add(self, operator: str, tensors: Sequence[str], name: str, origin: str = "", **attributes: Any) -> str:
         """Add one operator; returns the name of its result, which is also the operator's name."""
@@ -98,11 +82,11 @@ class OnnxWriter:
         self._nodes.append(node)
         return unique
 
-    def model(self, outputs: Mapping[str, tuple[str, int, np.dtype[Any]]], title: str, facts: Mapping[str, str]) -> Any:
+    def model(self, outputs: Mapping[str, Node], title: str, facts: Mapping[str, str]) -> Any:
         """The model, checked.
 
         Args:
-            outputs: tensor, size and type of each output, by name.
+            outputs: what it gives, by name.
             title: one sentence.
             facts: further properties.
 
@@ -110,9 +94,10 @@ class OnnxWriter:
             HydroError: the checker of the package onnx finds a mistake.
         """
         helper = self._onnx.helper
-        for name, (tensor, _, _) in outputs.items():
+        tensors = {name: self.tensor(node) for name, node in outputs.items()}
+        for name, tensor in tensors.items():
             self._nodes.append(helper.make_node("Identity", [tensor], [name], name=f"{name}.output"))
-        described = [self._described(name, size, kind) for name, (_, size, kind) in outputs.items()]
+        described = [self._described(name, node) for name, node in outputs.items()]
         graph = helper.make_graph(self._nodes, "controller", self._inputs, described, self._constants, title)
         opset = helper.make_opsetid("", OPSET)
         model = helper.make_model(
@@ -138,8 +123,9 @@ class OnnxWriter:
         if node.operation == "collect":
             assert node.table is not None
             joined = tensors[0] if len(tensors) == 1 else self.add("Concat", tensors, name, origin, axis=0)
-            whole = sum(one.size for one in node.operands)
-            return joined if np.array_equal(node.table, np.arange(whole)) else self.gathered(joined, node.table, name)
+            if np.array_equal(node.table, np.arange(sum(one.size for one in node.operands))):
+                return joined
+            return self.add("Gather", [joined, self._constant(node.table, f"{name}_places")], name, axis=0)
         if node.operation == "cast":
             return self.add("Cast", tensors, name, origin, to=self._type(node.kind))
         if node.operation == "where" and node.kind == np.bool_:  # onnxruntime has no Where of truth values
@@ -172,8 +158,8 @@ class OnnxWriter:
             self._places[key] = unique
         return self._places[key]
 
-    def _described(self, name: str, size: int, kind: np.dtype[Any]) -> Any:
-        return self._onnx.helper.make_tensor_value_info(name, self._type(kind), [size])
+    def _described(self, name: str, node: Node) -> Any:
+        return self._onnx.helper.make_tensor_value_info(name, self._type(node.kind), [node.size])
 
     def _type(self, kind: np.dtype[Any]) -> int:
         return int(self._onnx.helper.np_dtype_to_tensor_dtype(kind))
@@ -189,38 +175,37 @@ def controller_model(controller: ControllerGraph) -> Any:
         ConfigurationError: the package onnx is not installed.
         HydroError: the model is wrong.
     """
-    parts, graph, shared = controller.memory, controller.graph, controller.common
+    parts, graph, new = controller.memory, controller.graph, controller.common
     size = sum(part.size for part in parts)
-    inputs = {row.name: (1, graph.inputs[row.name].kind) for row in controller.inputs}
-    writer = OnnxWriter({**inputs, "memory": (size, DOUBLE)}, [*controller.outputs, "next_memory"])
+    inputs = {row.name: graph.inputs[row.name] for row in controller.inputs}
+    memory, zero = Node("input", (), size, DOUBLE, name="memory"), Builder().constant(np.zeros(1))
+    writer = OnnxWriter({**inputs, "memory": memory}, [*controller.outputs, "next_memory"])
     first = 0
     for part in parts:
-        tensor = writer.gathered("memory", np.arange(first, first + part.size), f"memory.{part.name}")
-        writer.given[part.name] = writer.cast(tensor, DOUBLE, part.kind, f"memory.{part.name}")
+        name, places = f"memory.{part.name}", np.arange(first, first + part.size)
+        piece = Node("collect", (memory,), part.size, DOUBLE, places, name=name)
+        writer.given[part.name] = writer.tensor(_converted(piece, part.kind, name))
         first += part.size
-    builder, new = Builder(), dict(shared)
     started, continued = controller.case(STARTED), controller.case(CONTINUED)
-    for name, node in started.items():
-        before = builder.constant(np.zeros(1)) if name.startswith(ANSWER) else graph.inputs[name]
-        example = np.zeros(node.size, node.kind)
-        goes_on = (
-            node
-            if node is continued[name]
-            else builder.node("where", [shared["begins"], node, continued[name]], example, name=name)
-        )
-        new[name] = (
-            goes_on
-            if goes_on is before
-            else builder.node("where", [shared["controls"], goes_on, before], example, name=name)
-        )
+    for name in started:
+        before = zero if name.startswith(ANSWER) else graph.inputs[name]
+        goes_on = _chosen(new["begins"], started[name], continued[name], name)
+        new[name] = _chosen(new["controls"], goes_on, before, name)
         if name.startswith(ANSWER):
             writer.given[name] = writer.tensor(new[name])
-    pieces = [writer.cast(writer.tensor(new[part.name]), part.kind, DOUBLE, f"next.{part.name}") for part in parts]
-    outputs = {"next_memory": (writer.add("Concat", pieces, "joined_memory", axis=0), size, DOUBLE)}
+    pieces = tuple(_converted(new[part.name], DOUBLE, f"next.{part.name}") for part in parts)
+    outputs = {"next_memory": Node("collect", pieces, size, DOUBLE, np.arange(size), name="joined_memory")}
     for name in controller.outputs:
-        if OUTPUT + name in shared:
-            outputs[name] = (writer.tensor(shared[OUTPUT + name]), 1, shared[OUTPUT + name].kind)
-        else:
-            outputs[name] = (writer.given[ANSWER + name], 1, DOUBLE)
-    facts = {"sample_time": repr(controller.signals.config.control_period)}
-    return writer.model(outputs, controller.title, facts)
+        outputs[name] = new.get(OUTPUT + name) or new[ANSWER + name]
+    facts = facts_of(controller, "")
+    return writer.model(outputs, facts["title"], {"sample_time": repr(facts["sample_time"])})
+
+
+def _converted(node: Node, kind: np.dtype[Any], name: str) -> Node:
+    """A number in a type."""
+    return node if node.kind == kind else Node("cast", (node,), node.size, kind, name=name)
+
+
+def _chosen(condition: Node, yes: Node, no: Node, name: str) -> Node:
+    """One of two numbers."""
+    return yes if yes is no else Node("where", (condition, yes, no), yes.size, yes.kind, name=name)

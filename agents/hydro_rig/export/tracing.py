@@ -10,7 +10,6 @@ from __future__ import annotations
 import inspect
 import linecache
 import re
-import weakref
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -48,39 +47,44 @@ def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, NDArr
     builder = Builder()
     traced, outputs = {}, {}
     for name, value in inputs.items():
-        traced[name] = Traced(builder, builder.input(name, np.size(value), value.dtype), value)
+        traced[name] = _traced(builder, builder.input(name, np.size(value), value.dtype), value)
     with np.errstate(all="ignore"):
         results = function(**traced)
     for name, result in results.items():
-        outputs[name] = result._node if isinstance(result, Traced) else builder.constant(result)
+        outputs[name] = result.node() if isinstance(result, Traced) else builder.constant(result)
     return Graph(builder.inputs, outputs)
 
 
 def named(name: str, value: Any) -> Any:
     """The value; in the written code it has this name."""
-    if isinstance(value, Traced) and value._node.operation not in ("input", "constant"):
-        value._node.name = name
+    if isinstance(value, Traced) and value.node().operation not in ("input", "constant"):
+        value.node().name = name
     return value
 
 
 class Traced(NDArrayOperatorsMixin):
-    """An array that records its operations; it also holds the example's values, for shapes and types."""
+    """An array that records its operations.
 
-    def __init__(self, builder: Builder, node: Node, value: Any, parent: Traced | None = None, key: Any = None) -> None:
-        self._builder, self._node, self._value = builder, node, np.asarray(value)
-        self._parent, self._key = parent, key  # of a view: its base
-        self._views: list[weakref.ref[Traced]] = []
-        if parent is not None:
-            parent._views.append(weakref.ref(self))
+    ``_places`` numbers its elements among all those of the builder. Slices, views, joins and changes of parts are those
+    of NumPy, on this array; they are no operations. ``_value`` holds the example, for shapes and types.
+    """
+
+    def __init__(self, builder: Builder, places: Any, value: Any) -> None:
+        self._builder, self._places, self._value = builder, np.asarray(places), np.asarray(value)
         if self._value.dtype not in KINDS:
             raise _refusal(f"an array of {self._value.dtype}")
+        self.node()
 
     __hash__ = object.__hash__
     shape = property(lambda self: self._value.shape)
     dtype = property(lambda self: self._value.dtype)
     ndim = property(lambda self: self._value.ndim)
     size = property(lambda self: self._value.size)
-    T = property(lambda self: self._moved(np.transpose, view=True))
+    T = property(lambda self: self._moved(np.transpose))
+
+    def node(self) -> Node:
+        """The node of the graph that holds its elements; the line that runs gives a new one its name."""
+        return self._builder.collect(self._places.reshape(-1), self.dtype, **_where())
 
     def __len__(self) -> int:
         return len(self._value)
@@ -89,31 +93,20 @@ class Traced(NDArrayOperatorsMixin):
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, key: Any) -> Traced:
-        _check_index(key)
-        view = np.shares_memory(self._value[key], self._value)
-        return self._moved(lambda places: places[key], view, key if view else None)
+        return self._moved(lambda array: array[key])
 
     def __setitem__(self, key: Any, value: Any) -> None:
-        _check_index(key)
-        if isinstance(value, Traced) and value._parent is self and value._key == key:
-            return  # the last part of a[key] += b, which has already changed the view a[key]
-        self._assign(key, value, None)
-
-    def _assign(self, key: Any, value: Any, writer: Traced | None) -> None:
-        places = np.arange(self.size).reshape(self.shape)
         new = self._of(value, self.dtype)
-        written = self._value.copy()
-        written[key] = new._value
-        places[key] = self.size + np.arange(new.size).reshape(new.shape)
-        self._replace(self._collected([self, new], places, written), writer)
+        self._places[key], self._value[key] = new._places, new._value
+        self.node()
 
     def reshape(self, *shape: Any) -> Traced:
         """The same elements in another shape."""
-        return self._moved(lambda places: places.reshape(*shape), view=True)
+        return self._moved(lambda array: array.reshape(*shape))
 
     def copy(self) -> Traced:
         """A copy, which may be changed."""
-        return Traced(self._builder, self._node, self._value.copy())
+        return Traced(self._builder, self._places.copy(), self._value.copy())
 
     def astype(self, kind: Any, copy: bool = True) -> Traced:
         """The values in another type."""
@@ -154,7 +147,7 @@ class Traced(NDArrayOperatorsMixin):
         target = out[0]
         if not isinstance(target, Traced):
             raise _refusal("a result written into an array that is not traced")
-        target._replace(result.astype(target.dtype), target)
+        target[...] = result
         return target
 
     def _elementwise(self, ufunc: Any, *operands: Any) -> Traced:
@@ -182,7 +175,7 @@ class Traced(NDArrayOperatorsMixin):
         del types
         if function in _MOVES:
             array, *rest = arguments
-            return self._of(array)._moved(lambda places: function(places, *rest, **options), view=True)
+            return array._moved(lambda part: function(part, *rest, **options))
         if function in _JOINS:
             return self._joined(function, *arguments, **options)
         if function not in _FUNCTIONS:
@@ -192,69 +185,45 @@ class Traced(NDArrayOperatorsMixin):
     def _joined(self, function: Any, arrays: Any, dtype: Any = None, **options: Any) -> Traced:
         kind = dtype or np.result_type(*(array.dtype for array in arrays))
         parts = [self._of(array, kind) for array in arrays]
-        starts = np.cumsum([0, *(part.size for part in parts)])
-        numbered = [
-            start + np.arange(part.size).reshape(part.shape) for start, part in zip(starts, parts, strict=False)
-        ]
+        places = function([part._places for part in parts], **options)
         value = function([part._value for part in parts], **options)
-        return self._collected(parts, function(numbered, **options), value)
+        return Traced(self._builder, places, value)
 
     def _of(self, value: Any, kind: Any = None) -> Traced:
         """A value as a traced array of a type."""
         if isinstance(value, Traced):
             return value if kind is None or value.dtype == kind else value.astype(kind)
         array = np.asarray(value, dtype=kind)
-        return Traced(self._builder, self._builder.constant(array, _constant_name(value)), array)
+        return _traced(self._builder, self._builder.constant(array, _constant_name(value)), array)
 
     def _result(self, operation: str, operands: Sequence[Traced], value: Any, **details: Any) -> Traced:
         """The result of an operation; without ``sizes`` element by element: of one element of an operand or all."""
         value = np.asarray(value)
-        spread = operands if details else [operand._spread(value.shape) for operand in operands]
-        node = self._builder.node(operation, [operand._node for operand in spread], value, **details, **_where())
-        return Traced(self._builder, node, value)
+        if not details:
+            operands = [operand if operand.size == 1 else operand._spread(value.shape) for operand in operands]
+        node = self._builder.node(operation, [operand.node() for operand in operands], value, **details, **_where())
+        return _traced(self._builder, node, value)
 
-    def _collected(self, parts: Sequence[Traced], places: NDArray[Any], value: Any, *of: Any) -> Traced:
-        """Elements of the joined parts at some places; ``of``: the array of which it is a view, and the key."""
-        node = self._builder.collect([part._node for part in parts], places.reshape(-1), **_where())
-        return Traced(self._builder, node, value, *of)
-
-    def _moved(self, move: Callable[[NDArray[Any]], NDArray[Any]], view: bool = False, key: Any = None) -> Traced:
-        """The elements that a function selects or rearranges."""
-        places = np.asarray(move(np.arange(self.size).reshape(self.shape)))
-        return self._collected([self], places, self._value.reshape(-1)[places], self if view else None, key)
+    def _moved(self, move: Callable[[NDArray[Any]], NDArray[Any]]) -> Traced:
+        """The elements that a function selects or rearranges; a view of NumPy is a view."""
+        return Traced(self._builder, move(self._places), move(self._value))
 
     def _spread(self, shape: tuple[int, ...]) -> Traced:
-        size = int(np.prod(shape, dtype=int))
-        return self if self.size in (1, size) else self._moved(lambda places: np.broadcast_to(places, shape))
-
-    def _replace(self, new: Traced, writer: Traced | None) -> None:
-        """Change this array in place, and the array of which it is a view; another view must not be in use."""
-        for reference in self._views:
-            view = reference()
-            if view is not None and view is not writer:
-                raise _refusal("a change of an array while another name refers to a part of it")
-        every = np.zeros(self.size, dtype=np.int64)
-        node = new._node if new.size == self.size else self._builder.collect([new._node], every)
-        value = np.broadcast_to(new._value, self.shape).copy()
-        if self._parent is not None:
-            if self._key is None:
-                raise _refusal("a change of a reshaped array")
-            self._parent._assign(self._key, Traced(self._builder, node, value), self)
-        self._node, self._value = node, value
+        return self if self.size == np.prod(shape, dtype=int) else self._moved(lambda a: np.broadcast_to(a, shape))
 
 
-def _check_index(key: Any) -> None:
-    parts = key if isinstance(key, tuple) else (key,)
-    if any(isinstance(part, Traced) for part in parts):
-        raise _refusal("an index that depends on the data")
+def _traced(builder: Builder, node: Node, value: NDArray[Any]) -> Traced:
+    """The elements of a node in the shape of the example."""
+    places = node.first + np.arange(node.size).reshape(value.shape)
+    return Traced(builder, places, value.copy())
 
 
 def _where_function(self: Traced, condition: Any, yes: Any, no: Any) -> Traced:
     value = np.where(*(part._value if isinstance(part, Traced) else part for part in (condition, yes, no)))
     test, *ways = self._of(condition, np.bool_), self._of(yes, value.dtype), self._of(no, value.dtype)
-    table = test._node.table if test._node.operation == "constant" else None
+    table = test.node().table if test.node().operation == "constant" else None
     if table is not None and (table.all() or not table.any()):  # such as the start of an episode
-        return ways[0 if table.all() else 1]._moved(lambda places: np.broadcast_to(places, value.shape))
+        return ways[0 if table.all() else 1]._moved(lambda array: np.broadcast_to(array, value.shape).copy())
     return self._result("where", [test, *ways], value)
 
 
@@ -264,12 +233,11 @@ def _einsum(self: Traced, subscripts: str, *operands: Any) -> Any:
     letters = kept + "".join(sorted(set(inputs) - {",", *kept}))
     product: Any = 1
     for number, (names, operand) in enumerate(zip(inputs.split(","), operands, strict=True)):
-        if len(set(names)) < len(names):
+        if len(set(names)) < len(names) or "->" not in subscripts:
             raise _refusal(f"np.einsum('{subscripts}')")
         order = [names.index(letter) for letter in letters if letter in names]
         spread = tuple(slice(None) if letter in names else None for letter in letters)
-        move = lambda places, order=order, spread=spread: places.transpose(order)[spread]  # noqa: E731
-        factor = self._of(operand)._moved(move)
+        factor = self._of(operand)._moved(lambda array, order=order, spread=spread: array.transpose(order)[spread])
         product = product * factor if number else factor
     for _ in letters[len(kept) :]:
         product = product.sum(axis=-1)
@@ -283,19 +251,10 @@ def _power(base: Any, exponent: Any) -> Any:
     return traced._elementwise(np.power, base, exponent)
 
 
-def _diff(self: Traced, array: Any, n: int = 1, axis: int = -1) -> Any:
-    if n != 1:
-        raise _refusal(f"np.diff with n = {n}")
-    before, after = ([slice(None)] * self._of(array).ndim for _ in range(2))
-    before[axis], after[axis] = slice(None, -1), slice(1, None)
-    return array[tuple(after)] - array[tuple(before)]
-
-
-def _filled(number: float) -> Callable[..., Traced]:
-    def filled(self: Traced, array: Any, dtype: Any = None, shape: Any = None) -> Traced:
-        return self._of(np.full(array.shape if shape is None else shape, number, dtype=dtype or array.dtype))
-
-    return filled
+def _diff(_: Traced, array: Any, n: int = 1, axis: int = -1) -> Any:
+    for _ in range(n):
+        array = array._moved(lambda a: np.delete(a, 0, axis)) - array._moved(lambda a: np.delete(a, -1, axis))
+    return array
 
 
 _ORDERS = (np.greater, np.greater_equal, np.less, np.less_equal)
@@ -321,9 +280,10 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.diff: _diff,
     np.outer: lambda self, left, right: self._of(left).reshape(-1, 1) * self._of(right).reshape(1, -1),
     np.searchsorted: lambda _, edges, values: (values.reshape(-1, 1) > edges).astype(np.int64).sum(axis=1),
-    np.zeros_like: _filled(0.0),
-    np.ones_like: _filled(1.0),
-    np.empty_like: _filled(np.nan),  # NaN reveals an element that is never set
+    np.zeros_like: lambda self, array, **options: self._of(np.zeros_like(array._value, **options)),
+    np.ones_like: lambda self, array, **options: self._of(np.ones_like(array._value, **options)),
+    # NaN reveals an element that is never set.
+    np.empty_like: lambda self, array, **options: self._of(np.full_like(array._value, np.nan, **options)),
     np.shape: lambda self, array: self._of(array).shape,
     np.ndim: lambda self, array: self._of(array).ndim,
 }
