@@ -74,8 +74,3 @@ def closed(run, inputs):
     """Close the loop of a new block."""
     run(inputs)
     return run({**inputs, "control": True})
-
-
-def sources_in(folder, prefix="controller"):
-    """C sources of a block in a folder, without its test program."""
-    return {name: (folder / name).read_text(encoding="utf-8") for name in (f"{prefix}.c", f"{prefix}.h")}

@@ -1,6 +1,7 @@
-"""Controllers, leak detector, alarm and plant for other machines: C99, Structured Text, ONNX, FMU, one HTML page.
+"""Controllers, leakage head and plant for other machines: C99, Structured Text, ONNX, FMU; and their rehearsal.
 
-Functions of the simulation come in; files without Python go out, compared with it before they are written. Two roads:
-``translator.py`` turns compiled code into C (``plant.py``); ``tracing.py`` records array code as a ``graph`` for the
-writers (``controller_folder.py``). Open ``controller_folder.py`` or ``plant.py`` first.
+Functions of the simulation come in; files without Python go out, compared with it before they are written. Two roads,
+because Python decides in two ways: ``translator.py`` turns compiled code, with its ``if`` and loops, into C
+(``plant.py``); ``tracing.py`` records array code, which has none, as a ``graph`` for all writers
+(``controller_folder.py``). Open ``controller_folder.py`` or ``plant.py`` first.
 """

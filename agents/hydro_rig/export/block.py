@@ -37,7 +37,6 @@ class Sample(NamedTuple):
     value: dict[str, Any]  # signals by name, SI units
     complete: Any
     lost_signals: Any
-    rest: Any  # V, that holds the load
     memory: dict[str, Any]  # what is known of the next memory, by name
 
 
@@ -79,8 +78,7 @@ class Block:
         """The controller that a policy corrects, or the controller itself; ``None`` for a policy that acts alone."""
         self.corrects = features is not None and features.base is not None
         self.estimates: tuple[str, ...] = getattr(self.base, "estimate_names", ())
-        own = self._reference
-        self.inputs = block_inputs(signals.signals, own.max_speed, own.max_acceleration, self.corrects)
+        self.inputs = block_inputs(signals.signals, self._reference, self.corrects)
 
     # Before the controller: signals, state, reference ---------------------------------------------------------------
 
@@ -133,7 +131,7 @@ class Block:
         state = np.where(in_fault | astray, int(State.FAULT), state)
         value["previous_command"] = named("previous_command_sample", memory.command / FULL_VOLTAGE)
         observation = self.signals.observation(value)
-        return Sample(begins, controls, state, observation, value, complete, lost_signals, new["rest"], new)
+        return Sample(begins, controls, state, observation, value, complete, lost_signals, new)
 
     def _read(self, inputs: Mapping[str, Any], memory: BlockMemory) -> tuple[dict[str, Any], Any]:
         """The signals by name, the last sample in place of a lost one; and a number with one bit per lost signal."""
@@ -223,7 +221,7 @@ class Block:
         by_hand = inputs["manual_command"]
         by_hand = np.where(np.absolute(by_hand) <= 1e3 * FULL_VOLTAGE, by_hand, 0.0)
         rests = is_now[State.READY] | is_now[State.HOLDING]
-        target = np.where(is_now[State.MANUAL], by_hand, np.where(rests, sample.rest, 0.0))
+        target = np.where(is_now[State.MANUAL], by_hand, np.where(rests, sample.memory["rest"], 0.0))
         target = np.where(is_now[State.CONTROLLING], wanted, target)
         limit = _output_limit(inputs)
         target = named("limited", np.clip(target, -limit, limit))

@@ -66,12 +66,6 @@ def c_operand(value: Any) -> str:
     return f"({text})" if text.startswith("-") else text
 
 
-def write_files(texts: Mapping[str, str], folder: Path) -> None:
-    """Write texts to a folder, by file name."""
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
-
-
 def c_compiler() -> str | None:
     """The command of this machine's C compiler, or ``None`` without one."""
     return next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
@@ -93,7 +87,8 @@ def compiled(
     own = c_compiler()
     if own is None and not compiler:
         raise HydroError("no C compiler found; install gcc or clang (the command is cc, gcc or clang)")
-    write_files(sources, folder)
+    for name, text in sources.items():
+        (folder / name).write_text(text, encoding="utf-8")
     units = [name for name in sources if name.endswith(".c")]
     command = [*(compiler or [str(own)]), "-std=c99", "-O2", *options, "-o", "out", *units, "-lm"]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
@@ -119,12 +114,11 @@ def compared(name: str, texts: Mapping[str, str]) -> str:
     return said
 
 
-def csv_text(columns: Sequence[str], starts: Iterable[Any], rows: Iterable[Iterable[float]]) -> str:
-    """Rows as CSV, each with a mark whether it is a start; every number reads back exactly."""
+def csv_text(columns: Sequence[str], rows: Iterable[Iterable[float]]) -> str:
+    """Rows as CSV, the first column tells whether a row is a start; every number reads back exactly."""
     lines = [",".join(["start", *columns])]
-    for start, values in zip(starts, rows, strict=True):
-        texts = [str(int(value)) if isinstance(value, bool | int) else repr(float(value)) for value in values]
-        lines.append(",".join([str(int(start)), *texts]))
+    for row in rows:
+        lines.append(",".join(str(int(one)) if isinstance(one, bool | int) else repr(float(one)) for one in row))
     return "\n".join(lines) + "\n"
 
 

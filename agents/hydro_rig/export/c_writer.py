@@ -33,9 +33,10 @@ class Language(NamedTuple):
     repeats: frozenset[str] = frozenset()  # operations whose text holds an operand more than once
 
 
-C_TYPES = dict(zip(KINDS, ("double", "float", "long", "int"), strict=True))
-C_OPERATIONS = {
+ARITHMETIC = {
     "add": "{0} + {1}", "subtract": "{0} - {1}", "multiply": "{0} * {1}", "divide": "{0} / {1}", "negative": "-{0}",
+}  # fmt: skip
+C_OPERATIONS = ARITHMETIC | {
     "and": "{0} && {1}", "or": "{0} || {1}", "not": "!{0}", "equal": "{0} == {1}",
     # The macros of C99 raise no exception for what is not a number.
     "greater": "isgreater({a}, {b})", "greater_equal": "isgreaterequal({a}, {b})",
@@ -46,7 +47,7 @@ C_OPERATIONS = {
     "power": "pow{f}({a}, {b})", "tanh": "tanh{f}({a})", "arcsinh": "asinh{f}({a})",
 }  # fmt: skip
 C = Language(
-    types=C_TYPES,
+    types=dict(zip(KINDS, ("double", "float", "long", "int"), strict=True)),
     operations=C_OPERATIONS,
     number=c_number,
     assign="{} = {};",
@@ -112,7 +113,7 @@ class Writer:
 
     def kept(self, name: str, node: Node, lines: list[str], indent: str = "    ") -> str:
         """A separate variable for a result; statements that define it go to ``lines``."""
-        if node in self._names and node.operation not in ("input", "constant"):
+        if node in self._names and node.operation != "constant":
             return self._names[node]
         variable = self._new_name(name)
         lines += [f"{indent}{line}" for line in self._defined(node, variable, self.element(node, "i"))]

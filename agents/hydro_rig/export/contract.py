@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from hydro_agents.controllers.own_loop import LOST_TIME, LOST_TRAVEL, STOPPING_TIME
 from hydro_env.units import FULL_VOLTAGE
+from hydro_rig.export.internal_reference import InternalReference
 from hydro_rig.export.measured import MeasuredSignal
 
 
@@ -77,10 +78,8 @@ OUTPUTS = {
 """Unit and meaning of each output that a block may have."""
 
 
-def block_inputs(
-    signals: Sequence[MeasuredSignal], max_speed: float, max_acceleration: float, corrects: bool
-) -> list[BlockInput]:
-    """The inputs of a block beside its gains; usual speed (m/s) and acceleration (m/s²) of its own motion.
+def block_inputs(signals: Sequence[MeasuredSignal], own: InternalReference, corrects: bool) -> list[BlockInput]:
+    """The inputs of a block beside its gains.
 
     ``corrects``: whether its controller is a policy that corrects another one.
     """
@@ -107,8 +106,8 @@ def block_inputs(
         BlockInput("manual_command", "V", float, 0.0, "in state manual, such as that of another controller"),
         BlockInput("output_limit", "V", float, FULL_VOLTAGE, "largest command in every state"),
         BlockInput("output_rate", "V/s", float, FULL_VOLTAGE / STOPPING_TIME, "largest change; 0: the usual one"),
-        BlockInput("max_speed", "m/s", float, max_speed, "of the own motion; 0: the usual one"),
-        BlockInput("max_acceleration", "m/s^2", float, max_acceleration, "of it; 0: the usual one"),
+        BlockInput("max_speed", "m/s", float, own.max_speed, "of the own motion; 0: the usual one"),
+        BlockInput("max_acceleration", "m/s^2", float, own.max_acceleration, "of it; 0: the usual one"),
         BlockInput("error_limit", "m", float, 0.0, "following error beyond which it is in fault; 0: none"),
         BlockInput("lost_limit", "", int, 0, f"successive lost samples that are allowed; 0: {LOST_RULE}"),
     ]

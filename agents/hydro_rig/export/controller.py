@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -18,7 +18,7 @@ from hydro_agents.controllers.registry import GainRow, gain_rows
 from hydro_env import TaskConfig, __version__
 from hydro_rig.export.block import Block
 from hydro_rig.export.c_files import CCode, c_code
-from hydro_rig.export.c_writer import C_TYPES, Writer
+from hydro_rig.export.c_writer import Writer, declaration
 from hydro_rig.export.contract import OUTPUTS, BlockInput, State
 from hydro_rig.export.graph import Graph, Node, in_order, needed
 from hydro_rig.export.measured import MeasuredSignals
@@ -51,7 +51,8 @@ class ControllerGraph:
     graph: Graph
     memory: tuple[Node, ...]  # the inputs of the graph that hold its parts
     block: Block
-    gains: tuple[GainRow, ...] = ()  # inputs ``gains.NAME``: numbers that may change while the controller runs
+    gains: list[GainRow]  # inputs ``gains.NAME``: numbers that may change while the controller runs
+    inputs: list[BlockInput]  # of the block, and its gains
 
     @property
     def signals(self) -> MeasuredSignals:
@@ -59,23 +60,9 @@ class ControllerGraph:
         return self.block.signals
 
     @property
-    def inputs(self) -> list[BlockInput]:
-        """The inputs of the block, and its gains."""
-        return [
-            *self.block.inputs,
-            *(BlockInput(GAINS + g.name, "", float, float(g.value), g.meaning) for g in self.gains),
-        ]
-
-    @property
     def outputs(self) -> list[str]:
         """Names of its outputs."""
-        names = [name.removeprefix(OUTPUT) for name in self.graph.outputs if name.startswith(OUTPUT)]
-        return [*names, *self.block.answers[1:]]
-
-    @property
-    def title(self) -> str:
-        """What it is, in one line."""
-        return f"Controller of a hydraulic servo axis ({type(self.block.controller).__name__})"
+        return [*self.case(OUTPUT), *self.block.answers[1:]]
 
     @property
     def common(self) -> dict[str, Node]:
@@ -97,8 +84,9 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
     """
     who, gains = type(controller).__name__, variable_gains(controller)
     block = Block(controller, MeasuredSignals(config, entries_read(controller, config)))
+    inputs = [*block.inputs, *(BlockInput(GAINS + g.name, "", float, float(g.value), g.meaning) for g in gains)]
     empty = block.empty()
-    own = leaves_of({"controller": empty.controller})
+    zeros = leaves_of(empty)
 
     def step(**values: Any) -> dict[str, Any]:
         refused: Any = np.False_
@@ -121,20 +109,19 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
         outputs |= {OUTPUT + name: value for name, value in found.items()}
         return outputs | leaves_of(new_memory)
 
-    given: dict[str, Any] = {row.name: np.array(row.default, row.kind) for row in block.inputs}
-    given |= {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
+    given = {row.name: np.array(row.default, row.kind) for row in inputs}
     given |= {ANSWER + name: np.zeros(()) for name in block.answers}
-    graph = trace(step, {**given, **leaves_of(empty)})
+    graph = trace(step, {**given, **zeros})
     after, _ = controller.predict(np.zeros((1, len(block.signals.layout.names)), dtype=np.float32), None)
     if not isinstance(after, np.ndarray):
         raise TraceError(f"{who}: keeps its memory outside its state: cannot be exported")
-    for name in leaves_of(empty):
-        before = graph.inputs[name]
-        for case in [STARTED + name, CONTINUED + name] if name in own else [name]:
+    for name, before in zeros.items():
+        own = name.startswith("controller")
+        for case in (STARTED + name, CONTINUED + name) if own else (name,):
             node = graph.outputs.get(case)
-            if node is None or (node.size, node.kind) != (before.size, before.kind):
+            if node is None or (node.size, node.kind) != (before.size, before.dtype):
                 raise TraceError(f"{who}: its memory '{name}' changes its shape or type: cannot be exported")
-    return ControllerGraph(graph, tuple(graph.inputs[name] for name in leaves_of(empty)), block, tuple(gains))
+    return ControllerGraph(graph, tuple(graph.inputs[name] for name in zeros), block, gains, inputs)
 
 
 def _with_gains(controller: Any, gains: Mapping[str, Any]) -> Controller:
@@ -153,30 +140,26 @@ def variable_gains(controller: Any) -> list[GainRow]:
 
 
 def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
-    """Names of the entries of the observation on which the commands of a controller depend, now or later.
+    """Names of the entries of the observation on which commands and memory of a controller depend.
 
     Raises:
         TraceError: as :func:`controller_graph`.
     """
     signals = MeasuredSignals(config)
     empty = Block(controller, signals).empty().controller
-    memory = leaves_of(empty, "memory")
 
     def predict(**values: Any) -> dict[str, Any]:
         outputs: dict[str, Any] = {}
         observation = np.stack([values[name] for name in signals.layout.names])[None]
         for prefix, before in ((STARTED, None), (CONTINUED, with_leaves(empty, values, "memory"))):
             outputs[f"{prefix}command"], new = controller.predict(observation, before)
-            outputs |= {prefix + name: leaf for name, leaf in leaves_of(new, "memory").items() if name in memory}
+            outputs |= {prefix + name: leaf for name, leaf in leaves_of(new, "memory").items()}
         return outputs
 
-    graph = trace(predict, {**dict.fromkeys(signals.layout.names, np.array(0.0, np.float32)), **memory})
-    wanted, before = {"command"}, set[str]()
-    while wanted != before:
-        before = wanted
-        used = needed([graph.outputs[prefix + name] for prefix in (STARTED, CONTINUED) for name in wanted])
-        wanted = wanted | {name for name in memory if graph.inputs[name] in used}
-    return {name for name in signals.layout.names if graph.inputs[name] in used}
+    entries = dict.fromkeys(signals.layout.names, np.array(0.0, np.float32))
+    graph = trace(predict, {**entries, **leaves_of(empty, "memory")})
+    used = needed([*graph.outputs.values()])
+    return {name for name in entries if graph.inputs[name] in used}
 
 
 def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
@@ -185,57 +168,44 @@ def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
     Raises:
         TraceError: the memory contains other objects.
     """
-    if memory is None:
-        return {}
-    if hasattr(memory, "dtype"):
-        return {name: memory}
     leaves: dict[str, Any] = {}
-    for place, value in _entries(memory, name).items():
-        leaves |= leaves_of(value, place)
+    _rebuilt(memory, name, leaves.__setitem__)
     return leaves
 
 
 def with_leaves(memory: Any, leaves: Mapping[str, Any], name: str = "") -> Any:
     """The memory with other arrays; the inverse of :func:`leaves_of`."""
+    return _rebuilt(memory, name, lambda place, array: leaves[place].reshape(array.shape))
+
+
+def _rebuilt(memory: Any, name: str, leaf: Callable[[str, Any], Any]) -> Any:
+    """The memory with what a function of name and array gives in place of each array."""
     if memory is None:
         return None
     if hasattr(memory, "dtype"):
-        return leaves[name].reshape(memory.shape)
-    values = [with_leaves(value, leaves, place) for place, value in _entries(memory, name).items()]
-    if isinstance(memory, dict):
-        return dict(zip(memory, values, strict=True))
-    return type(memory)(*values) if hasattr(memory, "_fields") else type(memory)(values)
-
-
-def _entries(memory: Any, name: str) -> dict[str, Any]:
-    """What a part of the memory holds, by the name of its place."""
-    entries = memory._asdict() if hasattr(memory, "_asdict") else memory
-    if isinstance(entries, tuple | list):
-        entries = dict(enumerate(entries))
-    if not isinstance(entries, dict):
+        return leaf(name, memory)
+    parts = memory._asdict() if hasattr(memory, "_asdict") else memory
+    if isinstance(parts, tuple | list):
+        parts = dict(enumerate(parts))
+    if not isinstance(parts, dict):
         raise TraceError(f"{name or 'memory'}: {type(memory).__name__} holds no arrays: cannot be exported")
-    return {f"{name}.{key}" if name else str(key): value for key, value in entries.items()}
+    new = [_rebuilt(part, f"{name}.{key}" if name else str(key), leaf) for key, part in parts.items()]
+    if isinstance(memory, dict):
+        return dict(zip(memory, new, strict=True))
+    return type(memory)(*new) if hasattr(memory, "_fields") else type(memory)(new)
 
 
-# In C -----------------------------------------------------------------------------------------------------------------
+# As text -----------------------------------------------------------------------------------------------------------
 
 
 def controller_code(controller: ControllerGraph, name: str = "Controller") -> CCode:
     """C sources of a block; ``name`` begins every symbol, so that one program can hold several."""
-    prefix = c_name(name)
-    fields = {part.name: f"self->{field(part.name)}" for part in controller.memory}
-    inputs = {row.name: f"self->{row.name}" for row in controller.inputs}
+    texts = {part.name: f"self->{field(part.name)}" for part in controller.memory}
+    texts |= {row.name: f"self->{row.name}" for row in controller.inputs}
     outputs = {name: f"self->{name}" for name in controller.outputs}
     writer = Writer(controller.graph, {}, taken=("self", "wanted"))
-    values = written_step(controller, writer, {**fields, **inputs}, outputs)
-    values |= {"name": name, "prefix": prefix}
-    values["inputs"] = [row for row in controller.inputs if not row.name.startswith(GAINS)]
-    values["types"] = {bool: "int", int: "long", float: "double"}
-    values["gains"] = controller.gains
-    values["parts"] = [
-        {"type": C_TYPES[part.kind], "field": field(part.name), "size": part.size} for part in values["kept_parts"]
-    ]
-    return c_code(prefix, values, "controller")
+    values = facts_of(controller, name) | written_step(controller, writer, texts, outputs)
+    return c_code(c_name(name), values, "controller")
 
 
 def c_name(name: str) -> str:
@@ -243,10 +213,27 @@ def c_name(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
+def facts_of(controller: ControllerGraph, name: str) -> dict[str, Any]:
+    """What all templates say about a block with a name."""
+    return {
+        "name": name,
+        "prefix": c_name(name),
+        "title": f"Controller of a hydraulic servo axis ({type(controller.block.controller).__name__})",
+        "version": __version__,
+        "sample_time": controller.signals.config.control_period,
+        "states": State,
+        "signals": controller.signals.signals,
+        "inputs": controller.block.inputs,
+        "gains": controller.gains,
+        "outputs": [(output, *OUTPUTS[output]) for output in controller.outputs],
+        "whole": ("state", "fault_code", "lost_signals"),
+    }
+
+
 def written_step(
     controller: ControllerGraph, writer: Writer, texts: Mapping[str, str], outputs: Mapping[str, str]
 ) -> dict[str, Any]:
-    """What the templates of C and Structured Text write: contract, tables, and the statements of a step.
+    """What the templates of C and Structured Text write beside the facts: tables, memory, the statements of a step.
 
     These are ``common``, then those of a start or of a continuation or ``idle`` ones, then ``after``.
 
@@ -256,8 +243,9 @@ def written_step(
         texts: variable of each input of the graph, and of each part of the memory, by its name.
         outputs: variable of each output, by its name; some are parts of the memory too.
     """
-    graph, shared = controller.graph, controller.common
-    texts = {**texts, **{name: outputs[name] for name in ("state", "fault_code", "command")}}
+    graph, shared, language = controller.graph, controller.common, writer.language
+    parts = {part.name: part for part in controller.memory}
+    texts = {**texts, **{name: outputs[name] for name in parts if name in outputs}}
     answers = {ANSWER + name: outputs.get(name, name) for name in controller.block.answers}
     writer.inputs = {**texts, **answers}
     started, continued = controller.case(STARTED), controller.case(CONTINUED)
@@ -266,13 +254,12 @@ def written_step(
     every = in_order([*shared.values(), *both])
     last = _following(every, {graph.inputs[name] for name in answers})
     before = [node for node in every if node not in last]
-    parts = {part.name: part for part in controller.memory}
 
-    def stores(new: Mapping[str, Node], lines: list[str], indent: str = "    ") -> list[str]:
+    def stores(new: Mapping[str, Node], lines: list[str], indent: str) -> list[str]:
         """Statements that keep what changes in the memory; ``lines``: those before, to which others may be added."""
         stored = []
         for name, node in new.items():
-            if node is not parts[name]:
+            if name in parts and node is not parts[name]:
                 variable = writer.kept(f"new_{field(name)}", node, lines, indent)
                 stored.append(indent + writer.stored(texts[name], variable, node.size))
         return stored
@@ -282,8 +269,8 @@ def written_step(
         indent = " " * 8
         lines = writer.statements([node for node in in_order([*new.values()]) if node not in before], indent)
         for name, text in answers.items():
-            lines.append(indent + writer.stored(text, writer.element(new[name], 0), 1))
-        stored = stores({name: node for name, node in new.items() if name in parts}, lines, indent)
+            lines.append(indent + language.assign.format(text, writer.element(new[name], 0)))
+        stored = stores(new, lines, indent)
         writer.release(*new.values())
         return "\n".join([*lines, *stored])
 
@@ -291,26 +278,24 @@ def written_step(
     for name in ("controls", "begins"):
         writer.kept(name, shared[name], common)
     cases = {"started": case(started), "continued": case(continued)}
-    zero = writer.language.number(0.0)
-    idle = [" " * 8 + writer.stored(text, zero, 1) for text in answers.values()]
+    idle = [" " * 8 + language.assign.format(text, language.number(0.0)) for text in answers.values()]
     after = writer.statements([node for node in every if node in last])
-    stored = stores({name: node for name, node in shared.items() if name in parts}, after)
+    after += stores(shared, after, "    ")
     for name, text in outputs.items():
         if name not in parts and OUTPUT + name in shared:
-            stored.append("    " + writer.stored(text, writer.element(shared[OUTPUT + name], 0), 1))
+            after.append("    " + language.assign.format(text, writer.element(shared[OUTPUT + name], 0)))
     return {
-        "title": controller.title,
-        "version": __version__,
-        "sample_time": controller.signals.config.control_period,
-        "states": State,
-        "whole": [name for name in outputs if name in ("state", "fault_code", "lost_signals")],
-        "outputs": [(name, *OUTPUTS[name]) for name in outputs],
-        "kept_parts": [part for part in controller.memory if part.name not in outputs],
-        "common": "\n".join(common),
         **cases,
+        "common": "\n".join(common),
         "idle": "\n".join(idle),
-        "after": "\n".join([*after, *stored]),
+        "after": "\n".join(after),
         "tables": writer.tables,
+        "types": {kind: language.types[np.dtype(kind)] for kind in (bool, int, float)},
+        "parts": [
+            declaration(language, field(part.name), part.size, part.kind)
+            for part in controller.memory
+            if part.name not in outputs
+        ],
     }
 
 

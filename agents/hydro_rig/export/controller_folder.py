@@ -10,20 +10,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.own_loop import LOST_TIME, OUT_OF_RANGE, OwnLoop
 from hydro_agents.controllers.registry import gain_rows
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
-from hydro_env import ConfigurationError, HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
+from hydro_env import ConfigurationError, HydroError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.export.block import Block
 from hydro_rig.export.c_files import csv_text, tested
-from hydro_rig.export.contract import DIAGRAM, LOST_RULE, OUTPUTS
-from hydro_rig.export.controller import GAINS, ControllerGraph, c_name, controller_code, controller_graph
+from hydro_rig.export.contract import DIAGRAM, LOST_RULE
+from hydro_rig.export.controller import GAINS, ControllerGraph, c_name, controller_code, controller_graph, facts_of
 from hydro_rig.export.onnx_writer import controller_model, onnx_session
 from hydro_rig.export.structured_text import RESERVED, call_example, st_name, structured_text
 
@@ -43,12 +41,12 @@ FREE = {
 COMPARED = ("command", "state", "fault_code")
 
 
-class Vectors(NamedTuple):
-    """Consecutive samples; a 1 in ``start`` begins with a new block."""
+class Vector(NamedTuple):
+    """A sample."""
 
-    start: NDArray[np.bool_]  # (samples,)
-    inputs: list[dict[str, Any]]  # of the block and its gains, by name
-    outputs: list[dict[str, Any]]  # COMPARED
+    start: bool  # it begins with a new block
+    inputs: dict[str, Any]  # of the block and its gains, by name
+    outputs: dict[str, Any]  # COMPARED
 
 
 def files_of(name: str) -> tuple[str, ...]:
@@ -70,7 +68,7 @@ def check_block_name(name: str) -> None:
         )
 
 
-def make_vectors(graph: ControllerGraph) -> Vectors:
+def make_vectors(graph: ControllerGraph) -> list[Vector]:
     """Closed-loop episodes on a given motion, and a tour through all states, faults and limits.
 
     :class:`~hydro_agents.controllers.own_loop.OwnLoop` gives the same commands on the same references, with the
@@ -79,44 +77,39 @@ def make_vectors(graph: ControllerGraph) -> Vectors:
     Raises:
         HydroError: it does not.
     """
-    block, config = graph.block, graph.signals.config
+    config = graph.signals.config
     weights = config.references.weights
     families: list[str | None] = [name for name in FAMILIES if weights.get(name, 0.0) > 0.0] or [None]
-    seeds = CONTROLLER_VECTORS.take(len(families) + 1)
-    starts, inputs, outputs = [], list[dict[str, Any]](), list[dict[str, Any]]()
-    for seed, family in zip(seeds, [*families, families[0]], strict=True):
-        if seed == seeds[-1]:
-            duration = max(config.episode_duration, TOUR * config.control_period)
-            run = _Episode(block, config.model_copy(update={"episode_duration": duration}), seed, family)
-            _tour(run, [gain.name for gain in graph.gains])
-        else:
-            run = _Episode(block, config, seed, family)
-            _follow(run)
-        starts += [number == 0 for number in range(len(run.inputs))]
-        inputs += run.inputs
-        outputs += run.outputs
-    usual = {row.name: row.default for row in graph.inputs}
-    return Vectors(np.array(starts), [usual | row for row in inputs], outputs)
+    *seeds, last = CONTROLLER_VECTORS.take(len(families) + 1)
+    vectors = []
+    for seed, family in zip(seeds, families, strict=True):
+        run = _Episode(graph, config, seed, family)
+        _follow(run)
+        vectors += run.vectors
+    duration = max(config.episode_duration, TOUR * config.control_period)
+    run = _Episode(graph, config.model_copy(update={"episode_duration": duration}), last, families[0])
+    _tour(run, [gain.name for gain in graph.gains])
+    return [*vectors, *run.vectors]
 
 
 class _Episode:
     """A block that drives a simulated axis; it keeps all inputs and outputs."""
 
-    def __init__(self, block: Block, config: TaskConfig, seed: int, family: str | None) -> None:
-        self.block, self.config, self.memory = block, config, block.empty()
+    def __init__(self, graph: ControllerGraph, config: TaskConfig, seed: int, family: str | None) -> None:
+        self.block, self.config, self.memory = graph.block, config, graph.block.empty()
+        self._usual = {row.name: row.default for row in graph.inputs}
         self._env = ServoHydraulicVectorEnv(1, config, info=False)
         self._env.reset(seed=[seed], options={"reference": [family]} if family is not None else None)
         self.axes = self._env.axes
-        self.signals = partial(block.signals.inputs_of, self.axes)  # and the references of the environment
-        self.inputs: list[dict[str, Any]] = []
-        self.outputs: list[dict[str, Any]] = []
+        self.signals = partial(graph.signals.inputs_of, self.axes)  # and the references of the environment
+        self.vectors: list[Vector] = []
 
     def step(self, inputs: dict[str, Any], moves: bool = True) -> float:
         """One call of the block, V; the axis moves for a control period, until the end of its episode."""
         refused = any(name.startswith(GAINS) for name in inputs)  # such a gain is out of its range
         outputs, self.memory = self.block(inputs, self.memory, refused)
-        self.inputs.append(inputs)
-        self.outputs.append({name: outputs[name] for name in COMPARED})
+        found = {name: outputs[name] for name in COMPARED}
+        self.vectors.append(Vector(not self.vectors, self._usual | inputs, found))
         command = float(outputs["command"])
         if not math.isfinite(command):
             raise HydroError(f"{type(self.block.controller).__name__}: its voltage is not finite: cannot be exported")
@@ -234,34 +227,25 @@ def exported_files(
     vectors, gains = make_vectors(graph), getattr(controller, "gains", None)
     code, in_text = controller_code(graph, name), structured_text(graph, name)
     values = {
-        "title": graph.title,
-        "version": __version__,
+        **facts_of(graph, name),
         "command": command,
         "origin": origin,
-        "name": name,
-        "prefix": code.name,
         "st_name": st_name,
-        "samples": len(vectors.inputs),
+        "samples": len(vectors),
         "allowed": LARGEST_DIFFERENCE * FULL_VOLTAGE,
-        "sample_time": config.control_period,
         "latency": config.command_latency,
-        "signals": graph.signals.signals,
-        "inputs": graph.inputs,
-        "block_inputs": graph.block.inputs,
-        "outputs": [(output, *OUTPUTS[output]) for output in graph.outputs],
+        "numbers": graph.inputs,
         "compared": COMPARED,
         "diagram": DIAGRAM,
         "lost_rule": LOST_RULE,
         "outside": OUT_OF_RANGE,
         "products": f"FUNCTION {name}Product1 " in in_text,
         "state_size": sum(part.size for part in graph.memory),
-        "variable": [gain.name for gain in graph.gains],
-        "gains": gain_rows(gains) if isinstance(gains, Group) else [],
+        "all_gains": gain_rows(gains) if isinstance(gains, Group) else [],
     }
     in_onnx = check_onnx(model, graph, vectors)
-    columns = [row.name for row in graph.inputs]
-    rows = [[*given.values(), *found.values()] for given, found in zip(vectors.inputs, vectors.outputs, strict=True)]
-    csv = csv_text([*columns, *COMPARED], vectors.start, rows)
+    rows = [[start, *given.values(), *found.values()] for start, given, found in vectors]
+    csv = csv_text([*(row.name for row in graph.inputs), *COMPARED], rows)
     files, in_c = tested(code, csv, values)
     task = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
     texts = {f"{code.name}.st": in_text, f"{code.name}_call.st": call_example(graph, name)}
@@ -270,7 +254,7 @@ def exported_files(
     return files, [f"{MODEL_FILE}: {in_onnx}", f"{code.name}.c: {in_c}"]
 
 
-def check_onnx(model: bytes, graph: ControllerGraph, vectors: Vectors) -> str:
+def check_onnx(model: bytes, graph: ControllerGraph, vectors: list[Vector]) -> str:
     """Differences between the ONNX model in onnxruntime and the test vectors, in words.
 
     Raises:
@@ -282,7 +266,7 @@ def check_onnx(model: bytes, graph: ControllerGraph, vectors: Vectors) -> str:
     differences, same = [], True
     kinds = {row.name: row.kind for row in graph.inputs}
     memory = np.zeros(size)
-    for start, given, expected in zip(*vectors, strict=True):
+    for start, given, expected in vectors:
         memory = np.zeros(size) if start else memory
         values: dict[str, Any] = {name: np.array([value], kinds[name]) for name, value in given.items()}
         found = dict(zip(names, session.run(None, {**values, "memory": memory}), strict=True))

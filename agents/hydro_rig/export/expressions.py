@@ -48,7 +48,8 @@ _COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: 
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _INTEGER_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.BitXor: "^", ast.RShift: ">>"}
 _NUMBERS = (BOOL, INT, FLOAT, DOUBLE)  # types that C converts as Python does, the widest last
-_FUNCTIONS = (math.asinh, math.cos, math.exp, math.floor, math.hypot, math.log, math.log10, math.sin, math.tanh)
+_MATH = (math.asinh, math.cos, math.exp, math.floor, math.hypot, math.log, math.log10, math.sin, math.sqrt, math.tanh)
+_FUNCTIONS = {function: function.__name__ for function in _MATH} | {abs: "fabs"}
 _CASTS = {np.float64: DOUBLE, float: DOUBLE, np.float32: FLOAT, np.int64: INT, int: INT, np.uint64: UINT64}
 _BUILT_IN = {"min": min, "max": max, "abs": abs, "float": float, "int": int}
 
@@ -228,18 +229,17 @@ class Expressions:
             return _compound(struct, [values[field] for field in callee._fields])
         if node.keywords:
             return None
-        if callee is math.sqrt:
-            return (f"sqrtf({texts[0]})", FLOAT) if kinds == [FLOAT] else (f"sqrt({texts[0]})", DOUBLE)
-        if callee in _FUNCTIONS:
-            return f"{callee.__name__}({', '.join(texts)})", DOUBLE
+        if callee is math.sqrt and kinds == [FLOAT]:
+            return f"sqrtf({texts[0]})", FLOAT
         if callee is math.isfinite:
             return f"(isfinite({texts[0]}) != 0)", BOOL
-        if callee is abs:
-            return f"fabs({texts[0]})", DOUBLE
+        if callee in _FUNCTIONS:
+            return f"{_FUNCTIONS[callee]}({', '.join(texts)})", DOUBLE
         if callee in (min, max) and len(texts) >= 2:
             return _extreme(callee.__name__, texts, integers=set(kinds) == {INT})
-        cast = next((kind for wanted, kind in _CASTS.items() if callee is wanted), None)
-        return (f"(({cast.element}){texts[0]})", cast) if cast is not None and len(texts) == 1 else None
+        if callee in _CASTS and len(texts) == 1:
+            return f"(({_CASTS[callee].element}){texts[0]})", _CASTS[callee]
+        return None
 
 
 def _extreme(name: str, texts: list[str], integers: bool) -> Typed:

@@ -59,7 +59,8 @@ def head_code(head: LeakageHead) -> CCode:
         TranslationError, TraceError: a function uses a construct without translation.
     """
     window, sheet, config = head.settings.window, head.sheet._asdict(), head.settings.task
-    bounds = bounds_of(config)
+    bounds, limit = bounds_of(config), np.ones(len(SIGNALS))
+    limit[head.rows] = observation_layout(config)[3][head.columns]  # in the scales of the observation
     fitted = fit_balance(np.zeros((1, len(SIGNALS), window)), head.sheet)._asdict()  # for the shapes of its parts
     translator = Translator()
     fields, numbers = [], {}
@@ -89,7 +90,7 @@ def head_code(head: LeakageHead) -> CCode:
         "functions": translator.functions,
         "sheet": numbers,
         "scale": head.scale.tolist(),
-        "limit": _limits(head).tolist(),
+        "limit": limit.tolist(),
         "beside_stuck_sensor": BESIDE_STUCK_SENSOR,
         "bounds": bounds.ravel().tolist(),
         "fitted": [(name, np.size(part)) for name, part in fitted.items()],
@@ -123,9 +124,10 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
     samples, answers = head_vectors(head)
     episodes, length, _ = samples.shape
     values = _texts(head) | {"samples": episodes * length, "allowed": LARGEST_DIFFERENCE, "command": command}
-    starts = np.tile(np.arange(length) == 0, episodes)
-    rows = np.concatenate([samples, answers], axis=2).reshape(episodes * length, -1)
-    files, in_c = tested(head_code(head), csv_text([*SIGNALS, *FIELDS], starts, rows), values)
+    rows = []
+    for signals, answer in zip(samples, answers, strict=True):
+        rows += [[k == 0, *signals[k], *answer[k]] for k in range(length)]
+    files, in_c = tested(head_code(head), csv_text([*SIGNALS, *FIELDS], rows), values)
     return files, [f"leakage_head.c: {in_c}"]
 
 
@@ -155,10 +157,3 @@ def head_vectors(head: LeakageHead) -> tuple[Floats, Floats]:
         observation, *_ = env.step((command - 10.0 * position)[:, None].astype(np.float32))
     env.close()
     return samples, answers
-
-
-def _limits(head: LeakageHead) -> Floats:
-    """Limits of the signals in the scales of the observation, (5,)."""
-    limits = np.ones(len(SIGNALS))
-    limits[head.rows] = observation_layout(head.settings.task)[3][head.columns]
-    return limits

@@ -15,23 +15,12 @@ import sys
 import uuid
 import zipfile
 from collections.abc import Iterator
-from typing import Annotated, NamedTuple, get_args, get_type_hints
+from typing import NamedTuple
 
 from hydro_env import HydroError, TaskConfig, __version__, equilibrium
-from hydro_env.plant import kernel
+from hydro_env.plant import equations, kernel
 from hydro_env.plant.analysis import leak_at_test_pressure
-from hydro_env.plant.equations import (
-    Coefficients,
-    Derived,
-    coefficients,
-    command_changed,
-    derivatives,
-    derived_quantities,
-    hold_limits,
-    parts_of,
-    time_to_kink,
-    weights,
-)
+from hydro_env.plant.equations import Coefficients, Derived
 from hydro_env.plant.equilibrium import equilibrium_state, rest_of
 from hydro_env.plant.parameters import (
     MODEL_CODES,
@@ -44,6 +33,7 @@ from hydro_env.plant.parameters import (
 )
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, leak_past_piston
 from hydro_env.plant.parts.lines import VOLUMES, WAVES
+from hydro_env.plant.simulate import DERIVED_UNITS
 from hydro_env.plant.states import ALL_STATES, State, state_kind
 from hydro_env.task.faults import fault_limits
 from hydro_env.task.settings import settings_of
@@ -69,16 +59,16 @@ def plant_code(parameters: PlantParameters | None = None) -> CCode:
     """
     parameters = parameters or PlantParameters()
     structure = parameters.structure
-    kind, parts = state_kind(structure), parts_of(structure)
+    kind, parts = state_kind(structure), equations.parts_of(structure)
     translator = Translator()
     base, state, constants, physical = (translator.struct(each) for each in (State, kind, Coefficients, Physical))
-    translator.function(coefficients, [physical], "coefficients_of")
-    translator.function(derivatives, [state, constants, DOUBLE, parts])
-    translator.function(command_changed, [state, constants, DOUBLE, parts])
-    translator.function(hold_limits, [state, constants, parts])
-    translator.function(time_to_kink, [state, state, constants, parts])
-    translator.function(derived_quantities, [state, constants, parts])
-    translator.function(weights, [constants, parts])
+    translator.function(equations.coefficients, [physical], "coefficients_of")
+    translator.function(equations.derivatives, [state, constants, DOUBLE, parts])
+    translator.function(equations.command_changed, [state, constants, DOUBLE, parts])
+    translator.function(equations.hold_limits, [state, constants, parts])
+    translator.function(equations.time_to_kink, [state, state, constants, parts])
+    translator.function(equations.derived_quantities, [state, constants, parts])
+    translator.function(equations.weights, [constants, parts])
     translator.function(equilibrium_state, [DOUBLE, physical, constants, WAVES if structure.lines else VOLUMES])
     translator.function(rest_of(structure), [base, constants], "complete_at_rest")
     shared = [text for text in translator.structs if text.endswith((f" {state.element};\n", " Derived;\n"))]
@@ -149,18 +139,14 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
     ]
     outputs = [
         *((name, "state", ALL_STATES[name].unit) for name in state_kind(config.plant.structure)._fields),
-        *((name, "follows from the state", unit) for name, unit in _units_of_derived().items()),
+        *((name, "follows from the state", unit) for name, unit in zip(Derived._fields, DERIVED_UNITS, strict=True)),
         ("measured_position", "ideal sensor", "m"),
         ("measured_pressure_a", "behind the transducer's lag", "Pa"),
         ("measured_pressure_b", "behind the transducer's lag", "Pa"),
         ("measured_spool_position", "ideal sensor", "1"),
         ("holding_voltage", "holds the axis at its initial position", "V"),
     ]
-    variables = [
-        *inputs,
-        *parameters,
-        *(Variable(name, what, unit, "output") for name, what, unit in outputs),
-    ]
+    variables = [*inputs, *parameters, *(Variable(name, what, unit, "output") for name, what, unit in outputs)]
     return [variable._replace(unit=_in_letters(variable.unit)) for variable in variables]
 
 
@@ -189,11 +175,6 @@ def with_one_leak(config: TaskConfig) -> PlantParameters:
     return config.plant.replace(leakage=tight)
 
 
-def _units_of_derived() -> dict[str, str]:
-    hints = get_type_hints(Derived, include_extras=True)
-    return {name: str(get_args(hint)[1]) for name, hint in hints.items() if hint is not Annotated}
-
-
 def make_fmu(config: TaskConfig) -> bytes:
     """The FMU of a task, with its rig, as the bytes of a zip file; the same task gives the same sources.
 
@@ -210,7 +191,7 @@ def make_fmu(config: TaskConfig) -> bytes:
         "infinite": math.inf,
         "axis": state_kind(config.plant.structure).__name__,
         "states": state_kind(config.plant.structure)._fields,
-        "derived": list(_units_of_derived()),
+        "derived": Derived._fields,
         "leak": LEAK_LAWS[config.leakage.law],
         "flow_to_leak": LITRE_PER_MINUTE / LEAK_LAWS[config.leakage.law].at_test,
         "flow_to_external_leak": LITRE_PER_MINUTE / ROD_SEAL.at_test,

@@ -30,7 +30,6 @@ from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import WARNINGS, compiled
 from hydro_rig.export.contract import State
-from hydro_rig.export.internal_reference import InternalReference
 from hydro_rig.export.measured import MeasuredSignals
 
 JOB, FILES = "rehearse", ("rehearsal.html", "rehearsal.csv")
@@ -44,7 +43,7 @@ SETTLED = 1e-3  # m; a move is over while the axis stays this close to its targe
 WEAK = 0.8  # of the supply's pressure
 HEALTHY, WORN = 0.02, 4.0  # l/min at 100 bar
 
-_FIELD = re.compile(r"^(int|long|double) (\w+);")
+_FIELD = re.compile(r"^ +(int|long|double) (\w+);", re.MULTILINE)
 _TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double}
 
 
@@ -64,11 +63,8 @@ class CBlock:
         if len(sources) != 1 or not (header := sources[0].with_suffix(".h")).is_file():
             raise ConfigurationError(f"{folder}: must be the folder of an exported controller, with its C code")
         texts = {file.name: file.read_text(encoding="utf-8") for file in (sources[0], header)}
-        fields, group = [], ""
-        for line in texts[header.name].partition("typedef struct {")[2].partition("/* Memory")[0].splitlines():
-            if found := _FIELD.match(line.strip()):
-                fields.append((group + found[2], _TYPES[found[1]]))
-            group = "gains_" if line.strip() == "struct {" else "" if line.strip() == "} gains;" else group
+        before_memory = texts[header.name].partition("typedef struct {")[2].partition("/* Memory")[0]
+        fields = [(name, _TYPES[kind]) for kind, name in _FIELD.findall(before_memory)]
         self.names = {name for name, _ in fields}
         with tempfile.TemporaryDirectory() as place:
             compiled(texts, [*WARNINGS, "-shared", "-fPIC"], folder=Path(place))
@@ -152,7 +148,8 @@ def _play(block: CBlock, config: TaskConfig, scene: Scene) -> Take:
     amplitude, middle = 0.5 * MOVED * (high - low), 0.5 * (low + high)
     targets = (middle + amplitude, middle - amplitude)
     signals = MeasuredSignals(config)
-    usual = InternalReference(signals)
+    block.reset()
+    usual = block.values
     moving = 2.0 * amplitude / usual.max_speed + usual.max_speed / usual.max_acceleration
     ready, move, pause = (round(time / period) for time in (READY, moving + REST, PAUSE))
     moves = (ready, ready + move, ready + 2 * move)
@@ -168,7 +165,6 @@ def _play(block: CBlock, config: TaskConfig, scene: Scene) -> Take:
         options["parameters"][group] = {name: factor * getattr(getattr(config.plant, group), name)}
     env.reset(seed=[CONTROLLER_VECTORS.first], options=options)
     sensors = [one.name for one in signals.signals if one.sensor and one.name in block.names]
-    block.reset()
     rows: list[tuple[float, ...]] = []
     failure = 0
     while len(rows) < moves[-1] and not failure:

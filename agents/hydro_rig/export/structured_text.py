@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from hydro_env import __version__
 from hydro_rig.export.c_files import TEMPLATES, render
-from hydro_rig.export.c_writer import Language, Writer, declaration
-from hydro_rig.export.controller import GAINS, ControllerGraph, field, written_step
+from hydro_rig.export.c_writer import ARITHMETIC, Language, Writer, declaration
+from hydro_rig.export.controller import GAINS, ControllerGraph, facts_of, field, written_step
 from hydro_rig.export.graph import KINDS, Graph, Node
 from hydro_rig.export.tracing import TraceError
 
-TYPES = dict(zip(KINDS, ("LREAL", "REAL", "DINT", "BOOL"), strict=True))
-OPERATIONS = {
-    "add": "{0} + {1}", "subtract": "{0} - {1}", "multiply": "{0} * {1}", "divide": "{0} / {1}", "negative": "-{0}",
+OPERATIONS = ARITHMETIC | {
     "and": "{0} AND {1}", "or": "{0} OR {1}", "not": "NOT {0}", "equal": "{0} = {1}",
     "greater": "{0} > {1}", "greater_equal": "{0} >= {1}", "less": "{0} < {1}", "less_equal": "{0} <= {1}",
     "where": "SEL({a}, {c}, {b})", "cast": "{of}_TO_{to}({a})",
@@ -55,7 +52,7 @@ def literal(value: Any) -> str:
 
 
 LANGUAGE = Language(
-    types=TYPES,
+    types=dict(zip(KINDS, ("LREAL", "REAL", "DINT", "BOOL"), strict=True)),
     operations=OPERATIONS,
     number=literal,
     assign="{} := {};",
@@ -129,44 +126,31 @@ def structured_text(controller: ControllerGraph, name: str = "Controller") -> st
     ``name``: of the function block; ``NAMEGains`` is the structure of its gains, ``NAMEProduct1`` … hold the weights of
     a policy.
     """
-    inputs = {row.name: st_name(row.name) for row in controller.inputs if not row.name.startswith(GAINS)}
-    gains = {GAINS + gain.name: f"Gains.{gain.name}" for gain in controller.gains}
     outputs = {output: st_name(output) for output in controller.outputs}
     fields = {part.name: field(part.name) for part in controller.memory}
+    inputs = {row.name: st_name(row.name) for row in controller.block.inputs}
+    gains = {GAINS + gain.name: f"Gains.{gain.name}" for gain in controller.gains}
     own = ("wanted", "gains", "factors", "totals", "done", name)
-    taken = (*own, *inputs.values(), *outputs.values(), *fields.values())
-    writer = TextWriter(controller.graph, taken, name)
+    writer = TextWriter(controller.graph, (*own, *inputs.values(), *outputs.values(), *fields.values()), name)
     values = written_step(controller, writer, {**fields, **inputs, **gains}, outputs)
     values |= {
-        "name": name,
         "functions": writer.functions,
         "longest": writer.longest,
-        "st_name": st_name,
-        "types": {bool: "BOOL", int: "DINT", float: "LREAL"},
-        "inputs": [(row, literal(row.kind(row.default))) for row in controller.block.inputs],
-        "gains": [gain._replace(value=literal(float(gain.value))) for gain in controller.gains],
-        "parts": [declaration(LANGUAGE, field(p.name), p.size, p.kind) for p in values["kept_parts"]],
         "declared": writer.declared,
         "work": [declaration(LANGUAGE, one, size, kind) for one, (kind, size) in writer.work.items()],
     }
-    return in_ascii(render("controller.st.j2", values))
+    return _rendered("controller", controller, name, values)
 
 
 def call_example(controller: ControllerGraph, name: str) -> str:
     """A program that calls the function block with the counts of 16-bit terminals."""
-    values = {
-        "name": name,
-        "version": __version__,
-        "sample_time": controller.signals.config.control_period,
-        "sensors": [signal for signal in controller.signals.signals if signal.sensor],
-        "st_name": st_name,
-        "literal": literal,
-    }
-    return in_ascii(render("controller_call.st.j2", values))
+    return _rendered("controller_call", controller, name, {})
 
 
-def in_ascii(text: str) -> str:
-    """A text for editors of old."""
+def _rendered(template: str, controller: ControllerGraph, name: str, values: Mapping[str, Any]) -> str:
+    """A template with its values, for editors of old."""
+    values = {**facts_of(controller, name), **values, "st_name": st_name, "literal": literal}
+    text = render(f"{template}.st.j2", values)
     for letter, plain in ASCII.items():
         text = text.replace(letter, plain)
     return re.sub(r"[ \t]+\n", "\n", text) + "\n"

@@ -65,7 +65,10 @@ def in_c(made, tmp_path_factory):
 
 
 class Axis:
-    """A simulated axis; ``drive(changes, count)`` lets a block control it, and keeps position and outputs."""
+    """A simulated axis; ``drive(changes, count)`` lets a block control it, and keeps position and outputs.
+
+    ``at``: its reference, m, a number or one for each sample.
+    """
 
     def __init__(self, run, graph, task, at):
         self.run, self.graph, self.env = run, graph, ServoHydraulicVectorEnv(1, task)
@@ -182,6 +185,21 @@ def test_it_takes_over_without_a_bump_from_any_reference(kind, rig, distance, ma
     bumps = np.abs(np.diff(axis.commands()[41:44]))
     assert bumps.max() < 0.35
     assert abs(axis.positions[-1] - target) < 1e-3
+
+
+def test_it_takes_over_an_axis_in_motion_on_a_rig_that_nobody_tuned(made, in_c):
+    graph, task = made("flow_linearising", OTHER)
+    samples = np.arange(task.steps + 1 + max(task.preview_samples))
+    ramp = np.clip(0.05 * task.control_period * (samples - 100.0), 0.0, None)  # m
+    driver, axis = in_c("flow_linearising", OTHER), Axis(in_c("flow_linearising", OTHER), graph, task, ramp)
+    for step in range(450):
+        request = {"follow": True, "control": step > 0}
+        by_hand = driver({**axis.inputs(), **request})["command"]
+        axis.drive({**request, "manual": 0 < step < 250, "manual_command": by_hand}, 1)
+    assert [State(axis.outputs[step]["state"]) for step in (249, 250)] == [MANUAL, CONTROLLING]
+    assert (axis.positions[250] - axis.positions[249]) / task.control_period == pytest.approx(0.05, rel=0.2)
+    assert np.abs(np.diff(axis.commands()[248:255])).max() < 0.15
+    assert np.abs(axis.positions - ramp[:450])[250:].max() < 3e-4
 
 
 def test_the_integral_does_not_wind_up_at_a_low_output_limit(made, in_c):
