@@ -37,6 +37,7 @@ class Sample(NamedTuple):
     value: dict[str, Any]  # signals by name, SI units
     complete: Any
     lost_signals: Any
+    rest: Any  # V, that holds the load
     memory: dict[str, Any]  # what is known of the next memory, by name
 
 
@@ -131,7 +132,7 @@ class Block:
         state = np.where(in_fault | astray, int(State.FAULT), state)
         value["previous_command"] = named("previous_command_sample", memory.command / FULL_VOLTAGE)
         observation = self.signals.observation(value)
-        return Sample(begins, controls, state, observation, value, complete, lost_signals, new)
+        return Sample(begins, controls, state, observation, value, complete, lost_signals, new["rest"], new)
 
     def _read(self, inputs: Mapping[str, Any], memory: BlockMemory) -> tuple[dict[str, Any], Any]:
         """The signals by name, the last sample in place of a lost one; and a number with one bit per lost signal."""
@@ -221,7 +222,7 @@ class Block:
         by_hand = inputs["manual_command"]
         by_hand = np.where(np.absolute(by_hand) <= 1e3 * FULL_VOLTAGE, by_hand, 0.0)
         rests = is_now[State.READY] | is_now[State.HOLDING]
-        target = np.where(is_now[State.MANUAL], by_hand, np.where(rests, sample.memory["rest"], 0.0))
+        target = np.where(is_now[State.MANUAL], by_hand, np.where(rests, sample.rest, 0.0))
         target = np.where(is_now[State.CONTROLLING], wanted, target)
         limit = _output_limit(inputs)
         target = named("limited", np.clip(target, -limit, limit))

@@ -133,7 +133,9 @@ class Writer:
             if isinstance(index, int):
                 return self.language.number(node.table[index])
             if node not in self._names:
-                self._names[node] = self._table(node)
+                name = self._new_name(self.prefix + ("constant_table" if node.name == "constant" else node.name))
+                self._names[node] = name
+                self.tables.append(self.table(name, node.kind, node.table))
             return f"{self._names[node]}[{index}]"
         if node.is_part:
             run = node.runs[0]
@@ -143,13 +145,8 @@ class Writer:
         text = self.inputs[node.name] if node.operation == "input" else self._names[node]
         return text if node.size == 1 else f"{text}[{index}]"
 
-    def _table(self, node: Node) -> str:
-        assert node.table is not None
-        name = self._new_name(self.prefix + ("constant_table" if node.name == "constant" else node.name))
-        self.tables.append(self._table_of(name, node.kind, node.table))
-        return name
-
-    def _table_of(self, name: str, kind: np.dtype[Any], values: np.ndarray[Any, Any]) -> str:
+    def table(self, name: str, kind: np.dtype[Any], values: np.ndarray[Any, Any]) -> str:
+        """A declaration of constants."""
         numbers = [self.language.number(value).removeprefix("REAL#") for value in values]  # the array has the type
         rows = [", ".join(numbers[first : first + 8]) for first in range(0, len(numbers), 8)]
         size = len(numbers)

@@ -33,20 +33,6 @@ class FaultCode(IntEnum):
     REFUSED_GAIN = 4
 
 
-DIAGRAM = """\
-  +-----+   Enable, no signal lost    +-------+     Control rises     +-------------+
-  | OFF | --------------------------> | READY | --------------------> | CONTROLLING |
-  +-----+                             +-------+ <-------------------- +-------------+
-     ^                                 ^     |      Control falls       |         |
-     | Enable falls, in   Reset rises, |     | signals lost too long    |         | following error,
-     | every state but    no signal    |     v                          |         | not a number
-     | FAULT              lost        +---------+                       |         v
-                                      | HOLDING | <---------------------+     +-------+
-  +--------+                          +---------+                             | FAULT |
-  | MANUAL |   Manual rises: from every state but FAULT, with Enable          +-------+
-  +--------+   Manual falls: to READY, CONTROLLING with Control, or           Reset rises: to READY
-               HOLDING if signals are lost                                    or OFF"""
-"""The states and what leads from one to another."""
 LOST_RULE = (
     f"those in which the axis travels {1e3 * LOST_TRAVEL:g} mm at the present command, at least one, "
     f"and not more than {1e3 * LOST_TIME:g} ms"

@@ -97,7 +97,10 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
             refused = np.logical_or(refused, np.logical_not(within))
             variable[gain.name] = named(f"{gain.name}_used", np.where(within, present_gain, float(gain.value)))
         varied = copy(block)
-        varied.controller = _with_gains(controller, variable) if variable else controller
+        if variable:
+            changed: Any = copy(controller)
+            changed.gains = SimpleNamespace(**{**dict(changed.gains), **variable})
+            varied.controller = changed
         memory = with_leaves(empty, values)
         sample = varied.before(values, memory)
         outputs: dict[str, Any] = {"controls": sample.controls, "begins": sample.begins}
@@ -124,13 +127,6 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
     return ControllerGraph(graph, tuple(graph.inputs[name] for name in zeros), block, gains, inputs)
 
 
-def _with_gains(controller: Any, gains: Mapping[str, Any]) -> Controller:
-    """The controller with other values, such as traced ones, in place of some gains."""
-    changed = copy(controller)
-    changed.gains = SimpleNamespace(**{**dict(controller.gains), **gains})
-    return changed  # type: ignore[no-any-return]
-
-
 def variable_gains(controller: Any) -> list[GainRow]:
     """The gains that can be changed while the exported code runs."""
     names = set(VARIABLE_GAINS.get(type(controller), ()))
@@ -140,26 +136,30 @@ def variable_gains(controller: Any) -> list[GainRow]:
 
 
 def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
-    """Names of the entries of the observation on which commands and memory of a controller depend.
+    """Names of the entries of the observation on which the commands of a controller depend, now or later.
 
     Raises:
         TraceError: as :func:`controller_graph`.
     """
     signals = MeasuredSignals(config)
     empty = Block(controller, signals).empty().controller
+    memory = leaves_of(empty, "memory")
 
     def predict(**values: Any) -> dict[str, Any]:
         outputs: dict[str, Any] = {}
         observation = np.stack([values[name] for name in signals.layout.names])[None]
         for prefix, before in ((STARTED, None), (CONTINUED, with_leaves(empty, values, "memory"))):
             outputs[f"{prefix}command"], new = controller.predict(observation, before)
-            outputs |= {prefix + name: leaf for name, leaf in leaves_of(new, "memory").items()}
+            outputs |= {prefix + name: leaf for name, leaf in leaves_of(new, "memory").items() if name in memory}
         return outputs
 
-    entries = dict.fromkeys(signals.layout.names, np.array(0.0, np.float32))
-    graph = trace(predict, {**entries, **leaves_of(empty, "memory")})
-    used = needed([*graph.outputs.values()])
-    return {name for name in entries if graph.inputs[name] in used}
+    graph = trace(predict, {**dict.fromkeys(signals.layout.names, np.array(0.0, np.float32)), **memory})
+    wanted, before = {"command"}, set[str]()
+    while wanted != before:
+        before = wanted
+        used = needed([graph.outputs[prefix + name] for prefix in (STARTED, CONTINUED) for name in wanted])
+        wanted = wanted | {name for name in memory if graph.inputs[name] in used}
+    return {name for name in signals.layout.names if graph.inputs[name] in used}
 
 
 def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:

@@ -20,7 +20,7 @@ from hydro_env.files import Group
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import csv_text, tested
-from hydro_rig.export.contract import DIAGRAM, LOST_RULE
+from hydro_rig.export.contract import LOST_RULE
 from hydro_rig.export.controller import GAINS, ControllerGraph, c_name, controller_code, controller_graph, facts_of
 from hydro_rig.export.onnx_writer import controller_model, onnx_session
 from hydro_rig.export.structured_text import RESERVED, call_example, st_name, structured_text
@@ -236,7 +236,6 @@ def exported_files(
         "latency": config.command_latency,
         "numbers": graph.inputs,
         "compared": COMPARED,
-        "diagram": DIAGRAM,
         "lost_rule": LOST_RULE,
         "outside": OUT_OF_RANGE,
         "products": f"FUNCTION {name}Product1 " in in_text,

@@ -141,7 +141,7 @@ class Builder:
         """An operation; ``value`` is its result for the values of the trace."""
         if all(operand.operation == "constant" for operand in operands):
             return self.constant(value, details.get("name", ""))
-        return self._named(Node(operation, tuple(operands), value.size, value.dtype, **details))
+        return self._once(Node(operation, tuple(operands), value.size, value.dtype, **details))
 
     def collect(self, numbers: NDArray[np.int64], kind: np.dtype[Any], **details: Any) -> Node:
         """The node that holds some elements, by their numbers, (size,)."""
@@ -158,16 +158,13 @@ class Builder:
         if all(source.operation == "constant" for source in firsts):
             values = [source.table[offset] for source, offset in pieces if source.table is not None]
             return self.constant(np.array(values, dtype=kind), details.get("name", ""))
-        return self._named(Node("collect", tuple(firsts), table.size, kind, table, **details))
-
-    def _named(self, node: Node) -> Node:
-        node.name = node.name or inherited(node.operands, node.origin)
-        return self._once(node)
+        return self._once(Node("collect", tuple(firsts), table.size, kind, table, **details))
 
     def _once(self, node: Node) -> Node:
         table = None if node.table is None else (node.table.tobytes(), node.table.dtype.str)
         key = (node.operation, node.operands, node.kind.str, table, node.sizes)
         if key not in self._made:
+            node.name = node.name or inherited(node.operands, node.origin)
             self._made[key] = self._numbered(node)
         return self._made[key]
 

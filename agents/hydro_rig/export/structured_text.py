@@ -106,7 +106,7 @@ class TextWriter(Writer):
         for first in range(0, rows, step):
             name, count = f"{self._name}Product{len(self.functions) + 1}", min(step, rows - first)
             numbers = matrix.table[first * columns : (first + count) * columns]
-            weights = self._table_of("weights", matrix.kind, numbers)
+            weights = self.table("weights", matrix.kind, numbers)
             values = {"name": name, "weights": weights, "first": first, "rows": count, "columns": columns}
             self.functions.append(values)
             calls.append(f"done := {name}(factors, totals);")

@@ -311,13 +311,10 @@ def _where() -> dict[str, str]:
 
 @cache
 def _told(file: str, function: str, line: str) -> dict[str, str]:
-    return {"name": _assigned(line, function), "origin": f"{Path(file).name}, {function}: {line}"}
-
-
-def _assigned(line: str, function: str) -> str:
     match = _ASSIGNED.match(line)
-    name = match.group(1) if match else function
-    return "" if match and name in _SAY_LITTLE else re.sub(r"\W", "", name).strip("_") or "value"
+    name = match[1] if match else re.sub(r"\W", "", function)
+    name = "" if match and name in _SAY_LITTLE else name.strip("_") or "value"
+    return {"name": name, "origin": f"{Path(file).name}, {function}: {line}"}
 
 
 def _constant_name(value: Any) -> str:

@@ -16,7 +16,8 @@ from hydro_rig.export.plant import make_fmu
 PERIOD, SAMPLES, PLACE = 5e-3, 80, 0.02
 VOLTAGE = np.where(np.arange(SAMPLES) < 20, 1.0, -2.0)
 
-needs_compiler = pytest.mark.skipif(c_compiler() is None, reason="this machine has no C compiler")
+fmpy = pytest.importorskip("fmpy", reason="the extra 'dev' brings it")
+pytestmark = pytest.mark.skipif(c_compiler() is None, reason="this machine has no C compiler")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,6 @@ class Instance:
     """An FMU in initialisation mode, and what it logged."""
 
     def __init__(self, file):
-        fmpy = pytest.importorskip("fmpy")
         description = fmpy.read_model_description(str(file))
         self.references = {variable.name: variable.valueReference for variable in description.modelVariables}
         self.lines = []
@@ -72,15 +72,12 @@ class Instance:
         return line
 
 
-@needs_compiler
 def test_the_checker_has_no_complaint(file):
-    pytest.importorskip("fmpy")
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(file)) == []
 
 
-@needs_compiler
 @pytest.mark.parametrize("law", get_args(LeakLaw))
 def test_it_moves_as_the_kernel_does(law, file, tmp_path):
     if law != TaskConfig().leakage.law:
@@ -102,7 +99,6 @@ def test_it_moves_as_the_kernel_does(law, file, tmp_path):
     assert late[-1] < late.max()
 
 
-@needs_compiler
 def test_outputs_in_initialisation_mode_are_those_of_the_equilibrium(file):
     axis = Instance(file)
     names = ["position", "pressure_a", "pressure_b", "supply_pressure", "measured_pressure_a", "holding_voltage"]
@@ -122,7 +118,6 @@ def test_outputs_in_initialisation_mode_are_those_of_the_equilibrium(file):
     assert axis.get("position")[0] == pytest.approx(PLACE, abs=1e-7)
 
 
-@needs_compiler
 def test_what_is_out_of_range_or_fixed_is_refused_in_one_line(file):
     axis = Instance(file)
     for name, value in {
@@ -154,7 +149,6 @@ def test_what_is_out_of_range_or_fixed_is_refused_in_one_line(file):
 
 def test_its_description_is_of_this_rig(tmp_path, monkeypatch):
     monkeypatch.setattr(plant, "compiled", lambda *_: b"")
-    fmpy = pytest.importorskip("fmpy")
     file = tmp_path / "axis.fmu"
     file.write_bytes(make_fmu(task_config(plant={"load": {"mass": 80.0}, "cylinder": {"stroke": 0.5}})))
     description = fmpy.read_model_description(str(file))
@@ -174,7 +168,6 @@ def test_its_description_is_of_this_rig(tmp_path, monkeypatch):
     assert known == {name for name, variable in variables.items() if variable.causality != "output"} - {"voltage"}
 
 
-@needs_compiler
 def test_the_command_writes_it_once(tmp_path):
     folder = tmp_path / "plant"
     result = hydro("export", "plant", "--rig", "symmetric_eha", "--output", folder)
