@@ -60,12 +60,6 @@ def c_number(value: Any) -> str:
     return f"-{text}" if np.signbit(value) else text
 
 
-def c_operand(value: Any) -> str:
-    """A number inside an expression: a negative one has brackets."""
-    text = c_number(value)
-    return f"({text})" if text.startswith("-") else text
-
-
 def c_compiler() -> str | None:
     """The command of this machine's C compiler, or ``None`` without one."""
     return next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)

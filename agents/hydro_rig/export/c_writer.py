@@ -218,7 +218,7 @@ class Writer:
             return [f"const {language.types[node.kind]} {language.assign.format(name, text)}"]
         target = name if node.size == 1 else f"{name}[i]"
         statement = language.assign.format(target, text)
-        return [*self._declaration(node, name), statement if node.size == 1 else self._loop("i", node.size, statement)]
+        return [*self._declaration(node, name), self._loop("i", node.size, statement)]
 
     def _declaration(self, node: Node, name: str) -> list[str]:
         text = declaration(self.language, name, node.size, node.kind)
@@ -232,13 +232,10 @@ class Writer:
     def _collected(self, node: Node, name: str) -> list[str]:
         lines = self._declaration(node, name)
         for run in node.runs:
-            if run.length == 1:
-                target = f"{name}[{run.first}]"
-                lines.append(self.language.assign.format(target, self.element(run.source, run.start)))
-            else:
-                text = self.element(run.source, _place(run.start, run.step, "i"))
-                target = f"{name}[{_place(run.first, 1, 'i')}]"
-                lines.append(self._loop("i", run.length, self.language.assign.format(target, text)))
+            index = 0 if run.length == 1 else "i"
+            text = self.element(run.source, _place(run.start, run.step, index))
+            statement = self.language.assign.format(f"{name}[{_place(run.first, 1, index)}]", text)
+            lines.append(self._loop("i", run.length, statement))
         return lines
 
     def _total(self, node: Node, name: str) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hydro_env import HydroError
 from hydro_env.compiling import Inline
-from hydro_rig.export.c_files import c_operand
+from hydro_rig.export.c_files import c_number
 
 
 class Type(NamedTuple):
@@ -19,6 +19,7 @@ class Type(NamedTuple):
     element: str
     shape: tuple[int, ...] = ()
     constant: bool = False
+    fields: tuple[Any, ...] = ()  # type and name of each field of a struct
 
     @property
     def size(self) -> int:
@@ -139,7 +140,7 @@ class Expressions:
             return _literal(self.value(node.value.value)[1].shape[self.integer(node.slice)])
         text, kind = self.value(node.value)
         if not kind.shape:
-            inner, field = self.translator.fields(kind)[self.integer(node.slice)]
+            inner, field = kind.fields[self.integer(node.slice)]
             return f"{text}.{field}", inner
         if isinstance(node.slice, ast.Slice):
             return (text, kind) if node.slice.lower is node.slice.upper is node.slice.step is None else None
@@ -172,7 +173,7 @@ class Expressions:
         if isinstance(number := self._callee(node), float):  # such as math.pi
             return _literal(number)
         text, kind = self.value(node.value)
-        fields = {name: inner for inner, name in self.translator.fields(kind)}
+        fields = {name: inner for inner, name in kind.fields}
         return (f"{text}.{node.attr}", fields[node.attr]) if node.attr in fields else None
 
     def _arithmetic(self, node: ast.BinOp) -> Typed | None:
@@ -257,6 +258,6 @@ def _compound(struct: Type, values: list[str]) -> Typed:
 def _literal(value: float | np.uint64) -> Typed:
     if isinstance(value, np.uint64):
         return f"UINT64_C({int(value)})", UINT64
-    if isinstance(value, bool):
-        return c_operand(value), BOOL
-    return c_operand(value), INT if isinstance(value, int) else DOUBLE
+    text = c_number(value)
+    kind = BOOL if isinstance(value, bool) else INT if isinstance(value, int) else DOUBLE
+    return f"({text})" if text.startswith("-") else text, kind

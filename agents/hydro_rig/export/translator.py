@@ -26,7 +26,7 @@ class Translator:
 
     structs: list[str] = field(default_factory=list)
     functions: list[str] = field(default_factory=list)
-    _fields: dict[str, tuple[tuple[Type, str], ...]] = field(default_factory=dict)  # struct → type, name of each field
+    _records: dict[str, Type] = field(default_factory=dict)  # by the name of their struct
     _results: dict[str, Type] = field(default_factory=dict)  # function → its result
     _names: dict[tuple[Any, tuple[Any, ...]], str] = field(default_factory=dict)  # function and arguments → C name
 
@@ -36,13 +36,14 @@ class Translator:
 
     def record(self, name: str, fields: Sequence[tuple[Type, str]]) -> Type:
         """C type with this name and these fields, each with its type first."""
-        if name not in self._fields:
-            self._fields[name] = tuple(fields)
-            body = "".join(f"    {kind.declared(field_name)};\n" for kind, field_name in fields)
+        kind = Type(name, fields=tuple(fields))
+        if name not in self._records:
+            self._records[name] = kind
+            body = "".join(f"    {inner.declared(field_name)};\n" for inner, field_name in fields)
             self.structs.append(f"typedef struct {{\n{body}}} {name};\n")
-        if self._fields[name] != tuple(fields):
+        if self._records[name] != kind:
             raise TranslationError(f"two named tuples with the name {name}")
-        return Type(name)
+        return kind
 
     def function(self, function: Any, types: Sequence[Any], name: str | None = None) -> tuple[str, Type]:
         """Translate a function for arguments of these C types; returns its name in C and the type of its result.
@@ -59,10 +60,6 @@ class Translator:
             self._results[unique] = body.result
             self.functions.append(body.text)
         return self._names[key], self._results[self._names[key]]
-
-    def fields(self, kind: Type) -> tuple[tuple[Type, str], ...]:
-        """Type and name of each field of a struct; none for another type."""
-        return self._fields.get(kind.element, ())
 
 
 class _Body(Expressions):
@@ -165,7 +162,7 @@ class _Body(Expressions):
         if kind.shape:
             return [(f"({text} + {kind.row().size * i})", kind.row()) for i in range(kind.shape[0])]
         struct, _ = self._kept(text, kind, indent)
-        return [(f"{struct}.{name}", inner) for inner, name in self.translator.fields(kind)]
+        return [(f"{struct}.{name}", inner) for inner, name in kind.fields]
 
     def _store(self, target: ast.expr, part: Typed, indent: str) -> None:
         """Assign a value to a variable, to an element of an array, or to all elements of an array or row."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
 
+from hydro_rig.export import rehearsal
 from hydro_rig.export.c_files import c_compiler
 from hydro_rig.export.contract import State
 from hydro_rig.export.rehearsal import FILES, SCENES, rehearse, signed
@@ -44,6 +45,13 @@ def test_after_a_broken_cable_it_holds_and_after_an_emergency_stop_it_is_off(pla
     ]
     assert 0.0 < table.loc["emergency stop", "travel after the fault, mm"] < 10.0
     assert np.isnan(table.loc["healthy", "travel after the fault, mm"])
+
+
+def test_on_a_faster_rig_a_move_lasts_as_long_as_the_block_needs(exported, other_rig, monkeypatch):
+    monkeypatch.setattr(rehearsal, "SCENES", SCENES[:1])
+    _, (take,) = rehearse(exported("flow_linearising").folder, other_rig)
+    ends = [take.reference[end - 1] for end in take.moves[1:]]
+    assert ends == pytest.approx(take.targets)
 
 
 def test_a_block_with_a_wrong_sign_does_not_pass(exported, tmp_path):

@@ -25,16 +25,12 @@ def test_it_gives_commands_and_states_of_the_vectors_sample_by_sample(kind, samp
         if row["start"] == "1":
             run = block(kind)
             run.stops = False  # some vectors hold gains and limits that are not numbers
-        inputs = {row.name: row.kind(float(row_value)) for row, row_value in _inputs(exported(kind).graph, row)}
+        inputs = {each.name: each.kind(float(row[each.name])) for each in exported(kind).graph.inputs}
         run.gains = {name: inputs.pop(f"gains.{name}") for name in usual}
         found = run(inputs)
         assert (found["state"], found["fault_code"]) == (float(row["state"]), float(row["fault_code"]))
         different = max(different, abs(found["command"] - float(row["command"])))
     assert different <= 1e-6
-
-
-def _inputs(graph, row):
-    return [(each, row[each.name]) for each in graph.inputs]
 
 
 @pytest.mark.slow  # blark reads a thousand letters a second
