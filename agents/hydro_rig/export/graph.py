@@ -145,7 +145,7 @@ class Builder:
 
     def collect(self, numbers: NDArray[np.int64], kind: np.dtype[Any], **details: Any) -> Node:
         """The node that holds some elements, by their numbers, (size,)."""
-        pieces = [self._elements[number] for number in numbers]
+        pieces: list[tuple[Node, int]] = [self._elements[number] for number in numbers]
         firsts: dict[Node, int] = {}
         total = 0
         for source, _ in pieces:

@@ -251,7 +251,7 @@ def _power(base: Any, exponent: Any) -> Any:
     return traced._elementwise(np.power, base, exponent)
 
 
-def _diff(_: Traced, array: Any, n: int = 1, axis: int = -1) -> Any:
+def _diff(self: Traced, array: Any, n: int = 1, axis: int = -1) -> Any:
     for _ in range(n):
         array = array._moved(lambda a: np.delete(a, 0, axis)) - array._moved(lambda a: np.delete(a, -1, axis))
     return array
