@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import builtins
 import math
 from typing import Any, NamedTuple
 
@@ -52,7 +53,6 @@ _NUMBERS = (BOOL, INT, FLOAT, DOUBLE)  # types that C converts as Python does, t
 _MATH = (math.asinh, math.cos, math.exp, math.floor, math.hypot, math.log, math.log10, math.sin, math.sqrt, math.tanh)
 _FUNCTIONS = {function: function.__name__ for function in _MATH} | {abs: "fabs"}
 _CASTS = {np.float64: DOUBLE, float: DOUBLE, np.float32: FLOAT, np.int64: INT, int: INT, np.uint64: UINT64}
-_BUILT_IN = {"min": min, "max": max, "abs": abs, "float": float, "int": int}
 
 
 class TranslationError(HydroError):
@@ -64,14 +64,12 @@ class Expressions:
 
     Attributes:
         names: types of arguments and local variables.
-        constants: variables with a value known at translation, such as the length of an array.
-        module: the other names of the function's module.
+        module: what is known at translation by name: the function's module, and lengths of arrays.
     """
 
     def __init__(self, translator: Any, name: str, module: dict[str, Any]) -> None:
         self.translator, self.name, self.module = translator, name, module
         self.names: dict[str, Type] = {}
-        self.constants: dict[str, int] = {}
 
     def failure(self, node: ast.AST) -> TranslationError:
         """The error for an expression without translation."""
@@ -88,10 +86,9 @@ class Expressions:
         match node:
             case ast.Constant(value=bool() | int() | float() as number):
                 return _literal(number)
-            case ast.Name(id=name):
-                return self._name(name)
-            case ast.Attribute():
-                return self._attribute(node)
+            case ast.Name() | ast.Attribute():
+                known = self._known(node)
+                return _literal(known) if isinstance(known, bool | int | float | np.uint64) else self._variable(node)
             case ast.Subscript():
                 return self.subscript(node)
             case ast.UnaryOp(op=ast.Not()):
@@ -128,7 +125,7 @@ class Expressions:
         """Value of an expression that is known at translation, such as the length of a new array."""
         if isinstance(node, ast.Subscript):  # the length of another array
             return int(self.value(node)[0])
-        names = {name: value for name, value in self.module.items() if isinstance(value, int)} | self.constants
+        names = {name: value for name, value in self.module.items() if isinstance(value, int)}
         try:
             return int(eval(ast.unparse(node), {"__builtins__": {}}, names))
         except Exception:
@@ -161,17 +158,9 @@ class Expressions:
             return f"({text} + {offset})" if offset != "0" else text, left
         return f"{text}[{offset}]", left
 
-    def _name(self, name: str) -> Typed | None:
-        if name in self.constants:
-            return _literal(self.constants[name])
-        if name in self.names:
-            return name, self.names[name]
-        value = self.module.get(name)
-        return _literal(value) if isinstance(value, bool | int | float | np.uint64) else None
-
-    def _attribute(self, node: ast.Attribute) -> Typed | None:
-        if isinstance(number := self._callee(node), float):  # such as math.pi
-            return _literal(number)
+    def _variable(self, node: ast.Name | ast.Attribute) -> Typed | None:
+        if isinstance(node, ast.Name):
+            return (node.id, self.names[node.id]) if node.id in self.names else None
         text, kind = self.value(node.value)
         fields = {name: inner for inner, name in kind.fields}
         return (f"{text}.{node.attr}", fields[node.attr]) if node.attr in fields else None
@@ -196,21 +185,22 @@ class Expressions:
             return f"({left} {_OPERATORS[operation]} {right})", max(kind, other, key=_NUMBERS.index)
         return None
 
-    def _callee(self, node: ast.expr) -> Any:
+    def _known(self, node: ast.expr) -> Any:
+        """What a name means at translation, such as a function or ``math.pi``; ``None`` for a variable."""
         match node:
             case ast.Attribute():
-                return getattr(self._callee(node.value), node.attr, None)
+                return getattr(self._known(node.value), node.attr, None)
             case ast.Name(id=name) if name not in self.names:
-                return self.module.get(name, _BUILT_IN.get(name))
+                return self.module.get(name, getattr(builtins, name, None))
         return None
 
     def _laws(self, node: ast.expr) -> Any:
         """A tuple of functions, which is known at translation; ``None`` for any other argument."""
-        value = self._callee(node)
+        value = self._known(node)
         return value if isinstance(value, tuple) and isinstance(value[0], Inline | tuple) else None
 
     def _call(self, node: ast.Call) -> Typed | None:
-        callee = self._callee(node.func)
+        callee = self._known(node.func)
         given = [self._laws(argument) or self.value(argument) for argument in node.args]
         parts = [part for part in given if isinstance(part[1], Type)]
         texts, kinds = [text for text, _ in parts], [kind for _, kind in parts]

@@ -78,15 +78,12 @@ class MeasuredSignals:
         place = self.layout.index(name)
         limit = float(self.limits[place] * self.scale[place])
         reach = self.config.plant.cylinder.stroke / 2.0
+        within = ("m", -reach, reach, limit)
         if name.startswith(_PREVIEW):
-            ahead = self.ahead[name]
-            own = ahead_name(name, self.config.control_period)
-            text = f"reference {ahead} control periods ahead"
-            return MeasuredSignal(own, "m", -reach, reach, limit, text, False, ahead)
+            ahead, own = self.ahead[name], ahead_name(name, self.config.control_period)
+            return MeasuredSignal(own, *within, f"reference {ahead} control periods ahead", False, ahead)
         if name == "reference":
-            return MeasuredSignal(
-                name, "m", -reach, reach, limit, "desired position, from the middle of the stroke", False
-            )
+            return MeasuredSignal(name, *within, "desired position, from the middle of the stroke", False)
         if name not in CHANNELS:
             raise ConfigurationError(f"export: '{name}' of the observation is not a measured signal")
         sensor = getattr(self.config.sensors, name)

@@ -237,7 +237,8 @@ def _einsum(self: Traced, subscripts: str, *operands: Any) -> Any:
             raise _refusal(f"np.einsum('{subscripts}')")
         order = [names.index(letter) for letter in letters if letter in names]
         spread = tuple(slice(None) if letter in names else None for letter in letters)
-        factor = self._of(operand)._moved(lambda array, order=order, spread=spread: array.transpose(order)[spread])
+        traced: Any = self._of(operand)
+        factor = np.transpose(traced, order)[spread]
         product = product * factor if number else factor
     for _ in letters[len(kept) :]:
         product = product.sum(axis=-1)

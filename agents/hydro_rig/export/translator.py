@@ -196,7 +196,7 @@ class _Body(Expressions):
         """Remember the length of an array, which is known at translation; returns false for another value."""
         if not isinstance(value, ast.Subscript) or not ast.unparse(value.value).endswith(".shape"):
             return False
-        self.constants[name] = int(self.value(value)[0])
+        self.module[name] = int(self.value(value)[0])
         return True
 
     def _local(self, name: str, kind: Type) -> str:
