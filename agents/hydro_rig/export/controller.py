@@ -112,7 +112,7 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
         outputs |= {OUTPUT + name: value for name, value in found.items()}
         return outputs | leaves_of(new_memory)
 
-    given = {row.name: np.array(row.default, row.kind) for row in inputs}
+    given: dict[str, Any] = {row.name: np.array(row.default, row.kind) for row in inputs}
     given |= {ANSWER + name: np.zeros(()) for name in block.answers}
     graph = trace(step, {**given, **zeros})
     after, _ = controller.predict(np.zeros((1, len(block.signals.layout.names)), dtype=np.float32), None)
