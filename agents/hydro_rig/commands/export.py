@@ -165,8 +165,7 @@ def _controller(what: str, request: _Request, name: str, gains: Gains | None) ->
 
     package("onnx")  # report a missing package at the start
     controller, config = _controller_and_task(what, request, gains)
-    made_for = trained_for(controller)
-    if made_for is not None and made_for != config.plant:
+    if trained_for(controller) not in (None, config.plant):
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
     _tell_distance(what, controller, config)
     origin: str = origin_of_gains(what, config) if what in CONTROLLERS else ""

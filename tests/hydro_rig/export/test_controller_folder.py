@@ -174,7 +174,6 @@ def test_the_command_writes_the_folder_of_a_rig_that_nobody_tuned_once(tmp_path,
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        (("nonsense",), "nonsense"),
         (("flow_linearising", "--period", "2 bar"), "export flow_linearising: --period = '2 bar': unit 'bar'"),
         (("flow_linearising", "--latency", "26ms"), "--latency = 0.026 s must not exceed 5 times --period = 0.005 s"),
         (("plant", "--latency", "1ms"), "export plant: takes no --period and no --latency"),

@@ -11,7 +11,6 @@ import pytest
 
 ziglang = pytest.importorskip("ziglang", reason="the extra 'playground' brings it")
 CORTEX_M4 = ("thumb-freestanding-eabihf", "-mcpu=cortex_m4")
-KINDS = ("pid", "flow_linearising")
 LARGEST = {"pid": (10_240, 1_024), "flow_linearising": (20_480, 5_120)}  # bytes of code and constants; of stack
 # A bare target has no C library; the project of a controller brings the header.
 MATH = """#define INFINITY __builtin_inf()
@@ -36,12 +35,6 @@ def zig(folder, *words):
     return done.stderr
 
 
-@pytest.fixture(params=KINDS)
-def folder(request, exported, tmp_path):
-    """A copy of the folder of an exported controller, with test program and vectors."""
-    return shutil.copytree(exported(request.param).folder, tmp_path / request.param)
-
-
 def sections_and_unknown(made):
     """Bytes of each section of a 32-bit object that a processor loads, and the names that it needs from elsewhere."""
     start, count, names = (struct.unpack_from(kind, made, at)[0] for kind, at in (("<I", 32), ("<H", 48), ("<H", 50)))
@@ -57,9 +50,10 @@ def sections_and_unknown(made):
     return loaded, {text(table[6], name) for name, _, _, _, _, section in symbols if name and section == 0}
 
 
-def test_a_cortex_m4_needs_little_memory_and_no_heap(folder):
+@pytest.mark.parametrize("kind", LARGEST)
+def test_a_cortex_m4_needs_little_memory_and_no_heap(kind, exported, tmp_path):
     """Compiled, not run. The figures are those of docs/export.md; pytest -rP prints them."""
-    kind = folder.name
+    folder = shutil.copytree(exported(kind).folder, tmp_path / kind)
     (folder / "include").mkdir()
     (folder / "include" / "math.h").write_text(MATH)
     told = zig(
