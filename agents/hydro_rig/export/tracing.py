@@ -73,7 +73,7 @@ class Traced(NDArrayOperatorsMixin):
         self._builder, self._places, self._value = builder, np.asarray(places), np.asarray(value)
         if self._value.dtype not in KINDS:
             raise _refusal(f"an array of {self._value.dtype}")
-        self.node()
+        self.node()  # the line that makes or changes it gives it a name
 
     __hash__ = object.__hash__
     shape = property(lambda self: self._value.shape)
@@ -84,7 +84,7 @@ class Traced(NDArrayOperatorsMixin):
 
     def node(self) -> Node:
         """The node of the graph that holds its elements; the line that runs gives a new one its name."""
-        return self._builder.collect(self._places.reshape(-1), self.dtype, **_where())
+        return self._builder.collect(self._places.reshape(-1), self.dtype, **_origin())
 
     def __len__(self) -> int:
         return len(self._value)
@@ -98,7 +98,7 @@ class Traced(NDArrayOperatorsMixin):
     def __setitem__(self, key: Any, value: Any) -> None:
         new = self._of(value, self.dtype)
         self._places[key], self._value[key] = new._places, new._value
-        self.node()
+        self.node()  # the line that makes or changes it gives it a name
 
     def reshape(self, *shape: Any) -> Traced:
         """The same elements in another shape."""
@@ -201,7 +201,7 @@ class Traced(NDArrayOperatorsMixin):
         value = np.asarray(value)
         if not details:
             operands = [operand if operand.size == 1 else operand._spread(value.shape) for operand in operands]
-        node = self._builder.node(operation, [operand.node() for operand in operands], value, **details, **_where())
+        node = self._builder.node(operation, [operand.node() for operand in operands], value, **details, **_origin())
         return _traced(self._builder, node, value)
 
     def _moved(self, move: Callable[[NDArray[Any]], NDArray[Any]]) -> Traced:
@@ -301,7 +301,7 @@ def _caller() -> tuple[Any, str]:
     return frame, linecache.getline(frame.f_code.co_filename, frame.f_lineno).strip()
 
 
-def _where() -> dict[str, str]:
+def _origin() -> dict[str, str]:
     """Name and origin of a node: the variable to which the traced line assigns, or the function; and the line.
 
     The name is empty if the line calls the number ``values`` or the like: then it has the name of its operand.
