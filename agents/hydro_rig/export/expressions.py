@@ -210,14 +210,16 @@ class Expressions:
             )
             return f"{name}({', '.join(texts)})", result
         if isinstance(callee, type) and hasattr(callee, "_fields"):
-            values = dict(zip(callee._fields, texts, strict=False))
-            values |= {str(keyword.arg): self.value(keyword.value)[0] for keyword in node.keywords}
+            values = dict(zip(callee._fields, parts, strict=False))
+            values |= {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
             if set(values) != set(callee._fields):
                 return None
-            of = dict(zip(callee._fields, kinds, strict=False)) | {str(key.arg): DOUBLE for key in node.keywords}
-            fields = [(of[field] if of[field].shape else DOUBLE, field) for field in callee._fields]
+            fields = []
+            for name in callee._fields:
+                kind = values[name][1]
+                fields.append((kind if kind.shape else DOUBLE, name))
             struct = self.translator.record(callee.__name__.lstrip("_"), fields)
-            return _compound(struct, [values[field] for field in callee._fields])
+            return _compound(struct, [values[name][0] for name in callee._fields])
         if node.keywords:
             return None
         if callee is math.sqrt and kinds == [FLOAT]:
