@@ -14,6 +14,7 @@ import numpy as np
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_env.types import Floats, Indices
+from hydro_rig.estimation.errors import Errors, errors_of
 from hydro_rig.estimation.estimate import estimate, usable_readings
 from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_rig.estimation.progress import tell
@@ -47,6 +48,8 @@ UNKNOWN_COMMANDS = 2  # readings at each end of a window that are left out if it
 LINEARISATIONS = 3
 """Of the result, each with differences as long as the uncertainty that the one before has shown. Short ones are rough,
 and roughness looks like information: an unknown without influence would seem to be known."""
+
+NOISY = 1.1  # white noise over that of the data sheet from which on it is taken from the residuals
 
 STARTING_VALUES = 2  # common fits from different values; the best is taken
 
@@ -98,6 +101,12 @@ class Common(NamedTuple):
         return self.problem.model
 
     @property
+    def noise(self) -> Floats:
+        """White noise of each channel over that of the data sheet, (channels,), where the fit assumes another."""
+        errors = self.problem.errors
+        return np.ones(self.problem.measured.shape[1]) if errors is None else errors.white[0]
+
+    @property
     def explained(self) -> int:
         """Number of explained windows."""
         return int((self.misfit < WELL_FITTED).sum())
@@ -147,8 +156,26 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
         timed = _with_timing(best)
         if timed.explained > best.explained:  # otherwise it would only take up another error of the model
             best = timed
+    if 2 * best.explained < len(windows) and config.sensors.enabled:
+        best = max(best, _with_noise(best), key=lambda found: found.explained)
     tell(PHASE, 1, 1)
     return best
+
+
+def _with_noise(found: Common) -> Common:
+    """A fit continued with the noise of the channels whose residuals are white and larger than the data sheet's."""
+    problem, joint = found.problem, found.joint
+    known = np.isfinite(problem.measured)
+    seen, _ = errors_of(problem.residual(joint.scaled[:, None])[:, 0], known)
+    white, slow = np.median(seen.white, axis=0), np.median(seen.slow, axis=0)
+    noisy = (white > NOISY) & (slow == 0.0)
+    if not noisy.any():
+        return found
+    errors = Errors.of_data_sheet(*known.shape[:2])
+    errors.white[:, noisy] = white[noisy]
+    problem = problem._replace(errors=errors)
+    joint = fit_together(problem, joint.scaled)
+    return Common.of(len(found.misfit), np.flatnonzero(np.isfinite(found.misfit)), problem, joint)
 
 
 def _with_timing(found: Common) -> Common:

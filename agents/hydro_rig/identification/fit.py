@@ -49,6 +49,7 @@ class Fit(NamedTuple):
     unknowns: tuple[Unknown, ...]  # (p,)
     misfit: Floats  # (B,), of each window; infinite for a window that was left out
     joint: Joint  # the common fit of the other windows
+    noise: Floats = np.ones(len(SENSORS))  # (channels,), over that of the data sheet
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -121,7 +122,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
             high = truncated_end(value, low, high)
         value, low, high = (within_bounds(config.plant, name, end) for end in (value, low, high))
         unknowns.append(Unknown(name, value, low, high, left, float(spread.widening[row])))
-    return Fit(tuple(unknowns), common.misfit, joint)
+    return Fit(tuple(unknowns), common.misfit, joint, common.noise)
 
 
 def _beside(value: float, flat: Mask, own: float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.rig import Rig
-from hydro_env.task.sensors import COMMAND, POSITION
+from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
 from hydro_rig.identification.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
 from hydro_rig.identification.fit import Fit, Unknown, fit_windows
@@ -145,6 +145,9 @@ class Identification:
                 notes.append(
                     f"The {self.look(name).words} is {1e3 * value:.2g} ms, not {1e3 * assumed:.2g} ms ({name}): used."
                 )
+        for name, noise in zip(SENSORS, fit.noise.tolist(), strict=True):
+            if noise > 1.0:
+                notes.append(f"{name} scatters {noise:.2g} times its data sheet: used.")
         if self.beyond:
             notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
         if self.beyond == [self.look(RATED_FLOW).words]:

@@ -7,6 +7,7 @@ from recorded import recorded_file
 from hydro_agents.detection.detector import Windows
 from hydro_env import PlantParameters
 from hydro_env.task.configuration import task_config
+from hydro_env.task.sensors import SENSORS
 from hydro_rig.estimation.solver import Problem
 from hydro_rig.identification.common_fit import Joint
 from hydro_rig.identification.fit import fit_windows
@@ -146,6 +147,16 @@ def test_a_rise_time_that_the_task_does_not_say_is_found(tmp_path):
     timing = fit.own()
     assert timing["pressure_rise_time"] == pytest.approx(config.sensors.pressure_rise_time, rel=0.1)
     assert timing["command_latency"] == pytest.approx(config.command_latency, abs=1e-4)
+    assert fit.unknowns[0].low <= 0.3 <= fit.unknowns[0].high
+
+
+def test_the_noise_of_a_channel_that_scatters_more_than_its_data_sheet_is_found(tmp_path):
+    """Before, one such channel left every window unexplained, and nothing was determined."""
+    config = task_config("as_given", randomisation={"load.mass": {"factor": [0.8, 1.2]}}, episode_duration=4.0)
+    noise = 1.6 * config.sensors.pressure_b.noise
+    fit = fit_of(tmp_path / "a.csv", task_config(config, sensors={"pressure_b": {"noise": noise}}), (4, 200), config)
+    assert fit.explained.all()
+    np.testing.assert_allclose(fit.noise, np.where(np.array(SENSORS) == "pressure_b", 1.6, 1.0), rtol=0.05)
     assert fit.unknowns[0].low <= 0.3 <= fit.unknowns[0].high
 
 
