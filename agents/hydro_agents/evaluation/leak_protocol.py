@@ -18,7 +18,7 @@ from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
 from hydro_agents.running.tasks import Surroundings
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
@@ -156,12 +156,12 @@ def windows(protocol: LeakProtocol, chosen: Mapping[str, Detector]) -> Iterator[
         for reader, detector in chosen.items():
             reads = protocol.reads(name, reader)
             reason = detector.refuses(protocol.known_task(name), samples) if reads else ""
-            if reads and not reason:
-                yield from _cells(protocol, name, reader, detector, samples)
-            elif name == protocol.base and detector.threshold is None:
-                yield Cell("windows", reader, name, jobs=(Job(without_threshold),))
-            elif reason:
+            if name == protocol.base and detector.threshold is None and (reason or not reads):
+                reason = "no threshold: it reads no healthy validation windows"
+            if reason:
                 yield Cell("windows", reader, name, refused=reason)
+            elif reads:
+                yield from _cells(protocol, name, reader, detector, samples)
 
 
 def _cells(protocol: LeakProtocol, name: str, reader: str, detector: Detector, samples: int) -> Iterator[Cell]:
@@ -177,15 +177,6 @@ def _cells(protocol: LeakProtocol, name: str, reader: str, detector: Detector, s
         jobs = tuple(Job(read, detector, (*fixed, part), digest) for part in cases)
         place = {"detector": reader, "condition": name, "level": level, "validation": validation}
         yield Cell("windows", reader, name, place, jobs)
-
-
-def without_threshold(_: None) -> Columns:
-    """No verdict follows from scores without a threshold.
-
-    Raises:
-        ConfigurationError: always.
-    """
-    raise ConfigurationError("no threshold: it read no healthy validation windows")
 
 
 def read(detector: Detector, config: TaskConfig, known: TaskConfig, acting: str, samples: int, cases: Cases) -> Columns:
