@@ -50,8 +50,14 @@ POLICY = KINDS_FOR_ANY_AXIS.index("ppo")
 
 WINDOWS = 3  # from each run
 
-CHANGING_SHARE, ORIFICE_SHARE, DISTURBED_SHARE = 0.3, 0.06, 0.15
-"""Shares of runs: whose leak begins or grows within the window, with a turbulent leak, and with a disturbance."""
+SHARES = (
+    ("constant", 0.49, False),
+    ("onset", 0.15, False),
+    ("growth", 0.15, False),
+    ("orifice", 0.06, False),
+    ("constant", 0.15, True),
+)
+"""Kinds of runs: the leak, their share, and whether a disturbance comes beside it."""
 
 HEALTHY_SHARE, SECOND_FAULT, AT_START, SMALL = 0.5, 0.1, 0.2, 0.35
 """Shares: of healthy axes, of faulty axes with a second fault, of windows at the start of a run, of leaks that are
@@ -117,21 +123,13 @@ class TrainingPlan:
 
     def chunks(self, episodes: int) -> list[Chunk]:
         """Groups of runs that are simulated together."""
-        changing = 0.5 * CHANGING_SHARE
-        shares = [
-            ("constant", 1.0 - 2.0 * changing - ORIFICE_SHARE - DISTURBED_SHARE, False),
-            ("onset", changing, False),
-            ("growth", changing, False),
-            ("orifice", ORIFICE_SHARE, False),
-            ("constant", DISTURBED_SHARE, True),
-        ]
         total = sum(row.share for row in OPERATIONS)
         controllers = len(self.controllers) if self.settings.law is None else len(KINDS_FOR_ANY_AXIS)
         chunks = []
         for number, row in enumerate(OPERATIONS):
             acting = [-1] if row.manner else range(controllers)
             for controller in acting:
-                for leak, share, moves in shares:
+                for leak, share, moves in SHARES:
                     count = round(episodes * share * row.share / total / len(acting))
                     pieces = -(-count // self._largest(controller, leak))
                     for piece in range(pieces):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,16 +53,16 @@ MANNERS = {
 
 
 class _Operator:
-    """Acts on N axes: commands from the position error, beside the command that holds the initial position.
+    """Acts on N axes in one episode each, and remembers it: commands from the position error.
 
-    The state holds that command (N,) and the memory of the operation.
+    They come beside the command that holds the initial position.
     """
 
-    at_start: Callable[[Floats], Any]
-    """The memory at the start of an episode, from the error (N,) in strokes."""
+    start: Callable[[Floats], None]
+    """Prepare for the episodes, from the error (N,) in strokes."""
 
-    act: Callable[[Floats, Floats, Any], tuple[Floats, Any]]
-    """Commands (N,) and the next memory, from the error, the holding command and the memory."""
+    act: Callable[[Floats], Floats]
+    """Commands (N,) from the error."""
 
     def __init__(self, config: TaskConfig) -> None:
         self.layout, self.control_period = ObservationLayout.of(config), config.control_period
@@ -71,26 +71,20 @@ class _Operator:
     def predict(
         self,
         observation: Observation,
-        state: tuple[Floats, Any] | None = None,
+        state: bool | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[Floats, Any]]:
-        """Commands (N, 1) of one control period; the arguments are those of a controller."""
+    ) -> tuple[NDArray[np.float32], bool]:
+        """Commands (N, 1) of one control period, the first without ``state``; the arguments are a controller's."""
         del episode_start, deterministic
         batch, _ = as_batch(observation)
         error = self.layout.si(batch, "tracking_error") / self.stroke
-        holding, memory = state or (self.layout.si(batch, "previous_command"), self.at_start(error))
-        command, memory = self.act(error, holding, memory)
-        return np.clip(command, -1.0, 1.0).astype(np.float32)[:, None], (holding, memory)
-
-
-class _Decided(NamedTuple):
-    """Memory of :class:`Operation`."""
-
-    time: int  # control periods since the start
-    command: Floats  # (N,), of the last decision
-    level: Floats  # (N,), of the noise
-    errors: Floats  # (longest delay, N)
+        if state is None:
+            self.time, self.holding = 0, self.layout.si(batch, "previous_command")  # control periods; (N,)
+            self.start(error)
+        command = self.act(error)
+        self.time += 1
+        return np.clip(command, -1.0, 1.0).astype(np.float32)[:, None], True
 
 
 class Operation(_Operator):
@@ -116,67 +110,62 @@ class Operation(_Operator):
         self.interval, self.period = drawn(manner.interval).round(), drawn(manner.period).round()
         self.wave = self.generator.integers(0, len(WAVES), count)
 
-    def at_start(self, error: Floats) -> _Decided:
-        """The memory at the start of an episode."""
-        return _Decided(0, np.zeros_like(error), np.zeros_like(error), np.repeat(error[None], int(self.delay.max()), 0))
+    def start(self, error: Floats) -> None:
+        """No decision and no noise yet, and the error as if it had been the same for long."""
+        self.decided, self.level = np.zeros_like(error), np.zeros_like(error)
+        self.errors = np.repeat(error[None], int(self.delay.max()), 0)
 
-    def act(self, error: Floats, holding: Floats, memory: _Decided) -> tuple[Floats, _Decided]:
+    def act(self, error: Floats) -> Floats:
         """Commands (N,): of the last decision, and a wave."""
-        time, axes = memory.time, np.arange(len(error))
-        errors = np.concatenate([memory.errors[1:], error[None]])
-        seen = errors[len(errors) - self.delay, axes]
+        time, axes = self.time, np.arange(len(error))
+        self.errors = np.concatenate([self.errors[1:], error[None]])
+        seen = self.errors[len(self.errors) - self.delay, axes]
         wanted = np.where(self.relay > 1e-6, self.relay * np.sign(seen), self.gain * seen)
-        decided = np.where(time % self.interval == 0, np.round(wanted / self.step) * self.step, memory.command)
+        self.decided = np.where(time % self.interval == 0, np.round(wanted / self.step) * self.step, self.decided)
         phase = time % self.period / self.period
         new_level = (time % np.maximum(self.period // 2, 1)) == 0
-        level = np.where(new_level, self.generator.uniform(-1.0, 1.0, len(error)), memory.level)
-        shapes = np.stack([np.sin(2.0 * np.pi * phase), np.where(phase < 0.5, 1.0, -1.0), level])
-        command = holding + decided + self.amplitude * shapes[self.wave, axes]
-        return command, _Decided(time + 1, decided, level, errors)
-
-
-class _Memory(NamedTuple):
-    time: int  # control periods since the start
-    error: Floats  # (N,), of the previous sample
-    command: Floats  # (N,), relative to the holding command
+        self.level = np.where(new_level, self.generator.uniform(-1.0, 1.0, len(error)), self.level)
+        shapes = np.stack([np.sin(2.0 * np.pi * phase), np.where(phase < 0.5, 1.0, -1.0), self.level])
+        return np.asarray(self.holding + self.decided + self.amplitude * shapes[self.wave, axes])
 
 
 class _Unseen(_Operator):
     """An operation outside the training; each axis draws its own four numbers, 0 to 1, for its law.
 
-    A law gives the commands (N,) relative to the holding command from this object, the memory and the error in strokes.
+    A law gives the commands (N,) relative to the holding command from this object and the error in strokes.
     """
 
-    def __init__(self, law: Callable[[_Unseen, _Memory, Floats], Floats], config: TaskConfig, count: int, seed: int):
+    def __init__(self, law: Callable[[_Unseen, Floats], Floats], config: TaskConfig, count: int, seed: int):
         super().__init__(config)
         self.law = law
         self.numbers = np.random.default_rng([seed, 7]).random((4, count))
 
-    def at_start(self, error: Floats) -> _Memory:
-        return _Memory(0, error, np.zeros_like(error))
+    def start(self, error: Floats) -> None:
+        self.last, self.command = error, np.zeros_like(error)  # of the previous sample
 
-    def act(self, error: Floats, holding: Floats, memory: _Memory) -> tuple[Floats, _Memory]:
-        command = self.law(self, memory, error)
-        return holding + command, _Memory(memory.time + 1, error, command)
+    def act(self, error: Floats) -> Floats:
+        self.command = self.law(self, error)
+        self.last = error
+        return np.asarray(self.holding + self.command)
 
 
-def _sliding_mode(axes: _Unseen, memory: _Memory, error: Floats) -> Floats:
+def _sliding_mode(axes: _Unseen, error: Floats) -> Floats:
     """A switching surface of error and speed of the error, with a boundary layer (Slotine and Li, 1991, chapter 7)."""
     lead, layer, size, _ = axes.numbers
-    surface = error + (0.005 + 0.02 * lead) * (error - memory.error) / axes.control_period
+    surface = error + (0.005 + 0.02 * lead) * (error - axes.last) / axes.control_period
     return np.asarray((0.1 + 0.5 * size) * np.tanh(surface / (0.002 + 0.01 * layer)))
 
 
-def _three_step(axes: _Unseen, memory: _Memory, error: Floats) -> Floats:
+def _three_step(axes: _Unseen, error: Floats) -> Floats:
     """A switch with a dead band (out, hold, in), like a simple control with proximity switches."""
     band, size = 0.003 + 0.01 * axes.numbers[0], 0.05 + 0.3 * axes.numbers[1]
-    keep = (memory.command != 0.0) & (np.abs(error) > 0.3 * band) & (np.sign(error) == np.sign(memory.command))
+    keep = (axes.command != 0.0) & (np.abs(error) > 0.3 * band) & (np.sign(error) == np.sign(axes.command))
     return np.where((np.abs(error) > band) | keep, size * np.sign(error), 0.0)
 
 
-def _swept_sine(axes: _Unseen, memory: _Memory, error: Floats) -> Floats:
+def _swept_sine(axes: _Unseen, error: Floats) -> Floats:
     """A sine of rising frequency in open loop, like in a measurement of the frequency response."""
-    time, rate = memory.time * axes.control_period, 1.0 + 4.0 * axes.numbers[1]
+    time, rate = axes.time * axes.control_period, 1.0 + 4.0 * axes.numbers[1]
     size = 0.03 + 0.2 * axes.numbers[0]
     return np.asarray(0.2 * error + size * np.sin(2.0 * np.pi * (1.0 + 0.5 * rate * time) * time))
 

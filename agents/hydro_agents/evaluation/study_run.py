@@ -179,18 +179,11 @@ def train_controller(
     entry = study.controllers[label.partition(SEED_MARK)[0]]
     assert entry.trainer is not None
     resume = any(folder.glob(CHECKPOINTS))
-    last = [0.0, 0.0]
 
     def report(progress: Progress) -> None:
-        passed, steps = progress.seconds - last[0], progress.steps - last[1]
-        notes = []
-        if passed > 0 and last[1]:
-            notes.append(f"{steps / passed:,.0f} steps/s")
-        if not math.isnan(progress.mean_reward):
-            notes.append(f"mean reward {progress.mean_reward:.4f}")
-        last[:] = progress.seconds, progress.steps
+        reward = "" if math.isnan(progress.mean_reward) else f"mean reward {progress.mean_reward:.4f}"
         done = min(progress.steps, progress.total_steps)
-        display.update(f"train {label}", done, progress.total_steps, ", ".join(notes))
+        display.update(f"train {label}", done, progress.total_steps, reward)
 
     if not resume:
         display.update(f"train {label}", 0, getattr(entry.settings, "total_steps", 0))
