@@ -197,27 +197,21 @@ def reversals(command: Array) -> int:
     return count
 
 
-class Trace(NamedTuple):
-    """What the metrics read of one episode; arrays (T,)."""
+def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, preview: float = 0.0) -> dict[str, float]:
+    """All METRICS of one episode.
 
-    position: Array  # m, true
-    reference: Array  # m
-    command: Array  # as a fraction of 10 V
-    spool: Array  # true position
-    period: float  # s, of the control
-    is_step: bool  # the reference jumps, so that overshoot has a meaning
-    failed: bool = False
-    preview: float = 0.0
-    """s; the controller sees the reference this far ahead. The same time at the end of each standstill does not count,
-    because an axis may start before the reference does."""
-    bias: float = 0.0  # m; the position sensor reads the true position plus this
-    power: Array | None = None  # hydraulic power from the supply, W
-    reward: Array | None = None
-
-
-def case_metrics(trace: Trace) -> dict[str, float]:
-    """All METRICS of one episode."""
-    position, reference, command, spool, period, is_step, failed, preview, bias, power, reward = trace
+    Args:
+        rollout: the episodes.
+        case: its number.
+        period: s, of the control.
+        is_step: the reference jumps, so that overshoot has a meaning.
+        preview: s; the controller sees the reference this far ahead. The same time at the end of each standstill does
+            not count, because an axis may start before the reference does.
+    """
+    position, reference, command, spool, power, reward = (
+        getattr(rollout, name)[case] for name in ("position", "reference", "command", "spool", "supply_power", "reward")
+    )
+    failed, bias = rollout.failed_at[case] >= 0, float(rollout.position_bias[case])
     error = np.asarray(reference, dtype=np.float64) - position
     time = period * np.arange(1, len(error) + 1)
     settling: list[float] = []
@@ -256,8 +250,8 @@ def case_metrics(trace: Trace) -> dict[str, float]:
         "control_effort": float(np.sqrt(np.mean(np.asarray(command, dtype=np.float64) ** 2))),
         "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),
         "reversals_per_s": reversals(command) / (period * len(command)),
-        "supply_energy_j": float(np.sum(power, dtype=np.float64)) * period if power is not None else math.nan,
-        RETURN: float(np.sum(reward, dtype=np.float64)) if reward is not None else math.nan,
+        "supply_energy_j": float(np.sum(power, dtype=np.float64)) * period,
+        RETURN: float(np.sum(reward, dtype=np.float64)),
         "failed": float(failed),
     }
 
@@ -265,21 +259,6 @@ def case_metrics(trace: Trace) -> dict[str, float]:
 def rollout_metrics(
     rollout: Rollout, families: NDArray[np.str_], period: float, preview: float = 0.0
 ) -> dict[str, Array]:
-    """METRICS of every case, arrays (N,); ``preview`` as in :class:`Trace`."""
-    rows = []
-    for case, family in enumerate(families):
-        trace = Trace(
-            position=rollout.position[case],
-            reference=rollout.reference[case],
-            command=rollout.command[case],
-            spool=rollout.spool[case],
-            period=period,
-            is_step=str(family) == "step",
-            failed=bool(rollout.failed_at[case] >= 0),
-            preview=preview,
-            bias=float(rollout.position_bias[case]),
-            power=rollout.supply_power[case],
-            reward=rollout.reward[case],
-        )
-        rows.append(case_metrics(trace))
+    """METRICS of every case, arrays (N,); the arguments are those of :func:`case_metrics`."""
+    rows = [case_metrics(rollout, case, period, family == "step", preview) for case, family in enumerate(families)]
     return {name: np.array([row[name] for row in rows]) for name in METRICS}

@@ -8,7 +8,6 @@ from scipy.optimize import brentq
 
 from hydro_agents.evaluation.metrics import (
     SETTLING_BAND,
-    Trace,
     case_metrics,
     reversals,
     rollout_metrics,
@@ -38,10 +37,18 @@ def step_run(damping, size=SIZE, start=0.0, before=0.05, after=0.9):
     return reference, position
 
 
-def metrics_of(reference, position, period=PERIOD, is_step=True, command=None, spool=None, failed=False, **options):
-    zeros = np.zeros(len(reference))
-    command, spool = (zeros if row is None else row for row in (command, spool))
-    return case_metrics(Trace(position, reference, command, spool, period, is_step, failed, **options))
+def rollout_of(reference, position, command=None, **values):
+    """Episodes (N, T) with these values, zeros otherwise."""
+    zeros = np.zeros(np.shape(reference))
+    traces = dict.fromkeys(("spool", "supply_power", "reward"), zeros)
+    traces |= {"position": position, "reference": reference, "command": zeros if command is None else command}
+    known = {"time": None, "signals": None, "leakage_flow_lpm": None, "position_bias": np.zeros(len(zeros))}
+    return Rollout(**traces | known | {"failed_at": np.full(len(zeros), -1)} | values)
+
+
+def metrics_of(reference, position, period=PERIOD, is_step=True, command=None, preview=0.0):
+    command = None if command is None else np.asarray(command)[None]
+    return case_metrics(rollout_of(reference[None], position[None], command), 0, period, is_step, preview)
 
 
 @pytest.mark.parametrize("damping", [0.2, 0.3, 0.6, 0.7])
@@ -128,19 +135,13 @@ def test_every_case_of_a_rollout():
     reference = np.tile(np.repeat([0.0, 0.01], [10, 90]), (2, 1))
     position = reference.copy()
     position[:, 30:40] += 0.001
-    shape = reference.shape
-    rollout = Rollout(
-        time=0.005 * np.arange(1, 101),
-        position=position.astype(np.float32),
-        reference=reference.astype(np.float32),
-        command=np.zeros(shape, dtype=np.float32),
-        spool=np.zeros(shape, dtype=np.float32),
-        supply_power=np.full(shape, 200.0, dtype=np.float32),
-        reward=np.full(shape, -0.5, dtype=np.float32),
+    rollout = rollout_of(
+        reference.astype(np.float32),
+        position.astype(np.float32),
+        supply_power=np.full(reference.shape, 200.0),
+        reward=np.full(reference.shape, -0.5),
         failed_at=np.array([-1, 99]),
         position_bias=np.array([0.0001, 0.0]),
-        signals=None,
-        leakage_flow_lpm=np.array([0.01, 4.0]),
     )
     found = rollout_metrics(rollout, np.array(["step", "ramp"]), 0.005)
     assert found["overshoot_percent"][0] == pytest.approx(10.0, rel=1e-4)
