@@ -67,18 +67,18 @@ def new_rig(
     check_new_file(output, overwrite)
     given = _named_figures(figures or [])
     required = {question.key for question in QUESTIONS if question.required}
-    if not required <= given.keys() and sys.stdin.isatty():
-        try:
+    asks = not required <= given.keys() and sys.stdin.isatty()
+    try:
+        if asks:
             _ask([question for question in QUESTIONS if question.key not in given], given)
-            text, rig = written_rig(answers_from(given), str(output))
-        except (ConfigurationError, EOFError, KeyboardInterrupt) as error:
+        text, rig = written_rig(answers_from(given), str(output))
+    except (ConfigurationError, EOFError, KeyboardInterrupt) as error:
+        if asks:
             again = " ".join(f'{key.replace("_", "-")}="{answer}"' for key, answer in given.items())
             print(f"\nNothing was written. Your answers, to go on with: hydro new-rig {again}", file=sys.stderr)
-            if isinstance(error, EOFError):
-                raise ConfigurationError("new-rig: the input has ended") from None
-            raise
-    else:
-        text, rig = written_rig(answers_from(given), str(output))
+        if isinstance(error, EOFError):
+            raise ConfigurationError("new-rig: the input has ended") from None
+        raise
     write_text(output, text)
     say(
         f"{output}: {len(given)} values given, ranges for {len(rig.randomisation)} uncertain ones",
