@@ -11,13 +11,18 @@ from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.participants import participants
-from hydro_agents.evaluation.robustness_protocol import PairedCases, PairedCondition, PlantSeeds, RobustnessProtocol
+from hydro_agents.evaluation.robustness_protocol import (
+    Levels,
+    PairedCases,
+    PairedCondition,
+    PlantSeeds,
+    RobustnessProtocol,
+)
 from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
 from hydro_env import TaskConfig
 from hydro_env.files import validate
 from hydro_env.task.configuration import task_config
-from hydro_env.units import Number
 
 
 class ProtocolSettings(PairedCases):
@@ -29,9 +34,7 @@ class ProtocolSettings(PairedCases):
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
     """
 
-    leak_levels: tuple[Number, ...] = Field(
-        (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), min_length=1, description="l/min at 100 bar"
-    )
+    leak_levels: Levels = Field((0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), description="l/min at 100 bar")
     plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     seeds: PlantSeeds = Field(
         "EVALUATION",

@@ -17,7 +17,7 @@ from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol, 
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
-from hydro_agents.running.tasks import Surroundings
+from hydro_agents.running.tasks import Surroundings, between
 from hydro_env import TaskConfig
 from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
@@ -31,7 +31,7 @@ healthy."""
 LEAK_BOUND = "hydro_rig.estimation.information:leak_bound"
 """The Cramér–Rao bound is of the package above this one: it comes by name."""
 
-Level = Annotated[Number, Field(ge=DRAWN, le=LEAKAGE_LIMIT)]
+Level = Annotated[Number, between(DRAWN, LEAKAGE_LIMIT, " l/min")]
 
 
 class LeakCondition(Condition):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Cell, Condition, Protocol, beginning
@@ -19,7 +19,7 @@ from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.limit_cycles import standstill_metrics, standstill_task
 from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
-from hydro_agents.running.tasks import Factor, mappings
+from hydro_agents.running.tasks import Factor, between, mappings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.mistakes import kept, known_name
@@ -32,39 +32,29 @@ FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count >= len
 PlantSeeds = Annotated[str, known_name(FAMILIES_OF_PLANTS, "range of seeds")]
 
 
+def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(set(values)) != len(values):
+        raise ValueError("has a duplicate entry")
+    if "user" in values and len(values) > 1:
+        raise ValueError("'user' must stand alone")
+    return values
+
+
+Level = Annotated[Number, between(1e-6, LEAKAGE_LIMIT, " l/min")]
+Levels = Annotated[tuple[Level, ...], Field(min_length=1), AfterValidator(_distinct)]
+Families = Annotated[tuple[Family, ...], Field(min_length=1), AfterValidator(_distinct)]
+
+
 class PairedCondition(Condition):
     """One condition; the controllers do not know it."""
 
-    leak_levels: tuple[Number, ...] | None = Field(
-        None, min_length=1, description="l/min at 100 bar; default: protocol"
-    )
-    families: tuple[Family, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
+    leak_levels: Levels | None = Field(None, description="l/min at 100 bar; default: protocol")
+    families: Families | None = Field(None, description="default: those of the protocol")
     plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
     controllers: dict[str, str | dict[str, Any]] = Field(
         default_factory=dict,
         description="by name; controllers for this condition: as in --agent, or the path of a file of gains",
     )
-
-    @model_validator(mode="after")
-    def _possible(self) -> PairedCondition:
-        check_grid(self.leak_levels or (), self.families or ())
-        return self
-
-
-def check_grid(levels: tuple[Number, ...], families: tuple[str, ...]) -> None:
-    """Check leak levels and families of references.
-
-    Raises:
-        ValueError: a level is above the limit, 'user' is not the only family, or an entry is duplicate.
-    """
-    for level in levels:
-        if not 0.0 < level <= LEAKAGE_LIMIT:
-            raise ValueError(f"leak_levels: {level:g} l/min: must be within 0 (excluded) to {LEAKAGE_LIMIT:g}")
-    if "user" in families and len(families) > 1:
-        raise ValueError("families: 'user' must stand alone")
-    for name, values in (("leak_levels", levels), ("families", families)):
-        if len(set(values)) != len(values):
-            raise ValueError(f"{name}: has a duplicate entry")
 
 
 def paired(levels: Sequence[float], families: Sequence[str], plants: int, seeds: SeedRange) -> pd.DataFrame:
@@ -81,26 +71,21 @@ def paired(levels: Sequence[float], families: Sequence[str], plants: int, seeds:
 class PairedCases(Group):
     """Number and kind of paired cases."""
 
-    leak_levels: tuple[Number, ...] = Field((0.03, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
-    families: tuple[Family, ...] = Field(MOVING_FAMILIES, min_length=1)
+    leak_levels: Levels = Field((0.03, 1.0, 4.0), description="l/min at 100 bar")
+    families: Families = MOVING_FAMILIES
     plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     seeds: PlantSeeds = Field("ROBUSTNESS", description="of the plants: a range of the ledger of seeds, by its name")
     standstill_plants: int = Field(
         4, ge=0, le=SEEDS_PER_FAMILY, description="plants of the search for limit cycles, per leak; 0: no search"
     )
 
-    @model_validator(mode="after")
-    def _possible_cases(self) -> Self:
-        check_grid(self.leak_levels, self.families)
-        return self
-
 
 class Sweep(Group):
     """Conditions that each fix one parameter of the plant at a factor of the nominal value."""
 
     group: str = "parameter"
-    leak_levels: tuple[Number, ...] | None = Field(None, min_length=1)
-    families: tuple[Family, ...] | None = Field(None, min_length=1)
+    leak_levels: Levels | None = None
+    families: Families | None = None
     plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY)
     factors: dict[str, tuple[Factor, ...]] = Field(min_length=1, description="by path of the parameter")
 
@@ -128,7 +113,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
     chunk: int = Field(
         128, ge=1, le=2048, description="cases of a job; fixed, so that no result depends on the machine"
     )
-    standstill_leak_levels: tuple[Number, ...] = Field(
+    standstill_leak_levels: Levels = Field(
         (0.03, 1.0, 8.0),
         description="l/min; search for limit cycles under each condition without its own leak levels",
     )
@@ -136,7 +121,6 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
 
     @model_validator(mode="after")
     def _possible(self) -> RobustnessProtocol:
-        check_grid(self.standstill_leak_levels, ())
         if "all" in self.conditions:
             raise ValueError("conditions: 'all' is the name of their mean")
         return self

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -21,7 +21,19 @@ from hydro_env.task.rig import merged, task_from
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import Number
 
-Factor = Annotated[Number, Field(ge=0.0, le=100.0)]
+
+def between(low: float, high: float, unit: str = "") -> AfterValidator:
+    """For the type of a number in a list or mapping, whose bounds pydantic's ``Field`` would not tell."""
+
+    def checked(value: float) -> float:
+        if not low <= value <= high:
+            raise ValueError(f"must be within {low:g} to {high:g}{unit}")
+        return value
+
+    return AfterValidator(checked)
+
+
+Factor = Annotated[Number, between(0.0, 100.0)]
 
 
 def steady(config: TaskConfig) -> TaskConfig:

@@ -109,7 +109,7 @@ def test_a_file_names_its_task_rigs_and_gains_by_path_and_the_digest_follows_all
     ("changes", "message"),
     [
         ({"conditions": {"a": {"leak": [1.0]}}}, r"conditions\.a\.leak = \[1\.0\]: unknown key.*leak_levels"),
-        ({"conditions": {"a": {"leak_levels": [30.0]}}}, "30 l/min"),
+        ({"conditions": {"a": {"leak_levels": [30.0]}}}, r"leak_levels\.0 = 30\.0: must be within .* 20 l/min"),
         ({"conditions": {"a": {"families": ["user", "step"]}}}, "'user' must stand alone"),
         ({"conditions": {"a": {"factors": {"supply.model": 2.0}}}}, "a name, not a number"),
         (
