@@ -15,37 +15,12 @@ from hydro_env.task.configuration import task_config
 POLICY = "PPO on flow linearisation"
 PLAIN = "controllers:\n  PID: {kind: pid}\n"
 PID_AS, BESIDE = "controllers: {{PID: {{{}}}}}\n", "controllers:\n  PID: {{kind: pid}}\n  other: {{{}}}\n"
-TRAINER = """
-from hydro_env.files import Group
-
-class Settings(Group):
-    steps: int = 3
-
-class MyTrainer:
-    settings = Settings
-
-    def train(self, config, settings, *, seed, folder, resume, base, progress):
-        raise NotImplementedError
-
-    def load(self, path):
-        return Mine()
-
-class Mine:
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return 0.0 * observation[:, :1], state
-"""
 
 
 def study(tmp_path, text):
     file = tmp_path / "study.yaml"
     file.write_text(text)
     return StudySettings.from_yaml(file)
-
-
-@pytest.fixture(autouse=True)
-def my_module(tmp_path, monkeypatch):
-    (tmp_path / "my_algorithm.py").write_text(TRAINER)
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["default", "quick"])
@@ -59,12 +34,11 @@ def test_the_studies_that_ship_are_right(name):
 
 
 def test_a_controller_is_one_line_and_so_is_an_algorithm(tmp_path):
-    learned = '{kind: "my_algorithm:MyTrainer", settings: {steps: 5}, corrects: other}'
-    found = study(tmp_path, BESIDE.format('kind: "my_algorithm:Mine"') + f"  learned: {learned}\n")
+    learned = '{kind: "gain_trainer:Trainer", settings: {gain: 5}, corrects: other}'
+    found = study(tmp_path, BESIDE.format('kind: "gain_trainer:Still"') + f"  learned: {learned}\n")
     assert found.trained == ["learned"]
-    assert type(found.make("other")).__name__ == "Mine"
-    assert found.controllers["learned"].settings.steps == 5
-    assert found.controllers["learned"].trainer.load(None) is not None
+    assert type(found.make("other")).__name__ == "Still"
+    assert found.controllers["learned"].settings.gain == 5.0
 
 
 def test_settings_may_be_files_relative_to_the_study(tmp_path):
@@ -85,8 +59,8 @@ WRONG = (
     (BESIDE.format("kind: ppo"), r"controllers.other: is trained as a correction .residual: true.: give 'corrects"),
     (BESIDE.format("kind: ppo, corrects: PID, tune: {}"), r"controllers.other: tune: a trained one cannot be tuned"),
     (BESIDE.format("kind: pid, corrects: PID"), r"controllers.other: corrects: only a trained one"),
-    (BESIDE.format('kind: "my_algorithm:Settings"'), r"other: Settings: takes keywords alone, not TaskConfig"),
-    (BESIDE.format('kind: "my_algorithm:MyTrainer", settings: {stops: 1}'), r"controllers.other.settings.stops"),
+    (BESIDE.format('kind: "gain_trainer:Settings"'), r"other: Settings: takes keywords alone, not TaskConfig"),
+    (BESIDE.format('kind: "gain_trainer:Trainer", settings: {stops: 1}'), r"controllers.other.settings.stops"),
 )
 
 
@@ -98,16 +72,18 @@ def test_what_does_not_fit_is_told_in_one_line(tmp_path, text, message):
     assert "\n" not in str(raised.value)
 
 
-def test_controllers_ready_to_act_without_training(tmp_path):
+def test_controllers_ready_to_act_without_training(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     found = default_study()
-    controllers = found.with_weights({"mine": "my_algorithm:Mine"})
+    controllers = found.with_weights({"mine": "gain_trainer:Still"})
     assert list(controllers) == ["PID", "Flow linearisation", POLICY, "mine"]
     assert isinstance(controllers["PID"], PID)
     assert isinstance(controllers[POLICY], PolicyController)
     replaced = found.with_weights({POLICY: "pid"})
     assert isinstance(replaced[POLICY], PID)
-    own = study(tmp_path, PLAIN + '  learned: {kind: "my_algorithm:MyTrainer"}\n')
-    assert type(own.with_weights({"learned": "anywhere"})["learned"]).__name__ == "Mine"
+    own = study(tmp_path, PLAIN + '  learned: {kind: "gain_trainer:Trainer"}\n')
+    (tmp_path / "weights.json").write_text("2.0")
+    assert own.with_weights({"learned": "./weights"})["learned"].gain == 2.0
     with refused("learned: no weights of this kind are shipped; give --agent learned"):
         own.with_weights({})
 
@@ -116,7 +92,7 @@ def test_another_rig_changes_the_task_and_asks_for_tuning(tmp_path):
     file = tmp_path / "study.yaml"
     file.write_text(
         "task: {plant: rig.yaml, control_period: 0.004}\ncontrollers:\n  PID: {kind: pid, tune: {evaluations: 9}}\n"
-        '  other: {kind: pid}\n  mine: {kind: "my_algorithm:Mine"}\n'
+        '  other: {kind: pid}\n  mine: {kind: "gain_trainer:Still"}\n'
     )
     (tmp_path / "rig.yaml").write_text("supply: {model: constant}\n")
     found = StudySettings.from_yaml(file)

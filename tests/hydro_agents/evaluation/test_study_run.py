@@ -1,13 +1,13 @@
 """A whole study with an algorithm of one's own: what it leaves, how it resumes, and what stops it early."""
 
 import re
-import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from gain_trainer import Trainer
 from published import assert_published
 from refusal import refused
 
@@ -18,52 +18,9 @@ from hydro_agents.evaluation import study_run as training
 from hydro_agents.evaluation.study import StudySettings, default_study
 from hydro_agents.learning import tuning
 
-ALGORITHM = '''
-"""A proportional controller whose gain is "trained"."""
-import json
-import numpy as np
-from hydro_env.files import Group
-
-class Settings(Group):
-    gain: float = 3.0
-    total_steps: int = 2
-
-class Gain:
-    def __init__(self, gain):
-        self.gain = gain
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return self.gain * observation[:, -2:-1], state
-
-    def save(self, path):
-        path.with_suffix(".json").write_text(json.dumps(self.gain))
-        return path
-
-class Trainer:
-    settings = Settings
-    calls = []
-    fate = "finish"
-
-    def train(self, config, settings, *, seed, folder, resume, base, progress):
-        self.calls.append({"seed": seed, "resume": resume, "base": base, "steps": settings.total_steps})
-        if self.fate == "early":
-            raise KeyboardInterrupt
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "checkpoint.json").write_text("{}")
-        if self.fate == "late":
-            raise KeyboardInterrupt
-        return Gain(settings.gain)
-
-    def load(self, path):
-        return Gain(json.loads(path.with_suffix(".json").read_text()))
-
-class Broken:
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.full((len(observation), 1), np.nan), None
-'''
 CONTROLLERS = {
     "PID": {"kind": "pid"},
-    "mine": {"kind": "my_study_algorithm:Trainer", "settings": {"gain": 2.0}, "corrects": "PID"},
+    "mine": {"kind": "gain_trainer:Trainer", "settings": {"gain": 2.0}, "corrects": "PID"},
 }
 VALUES = {
     "task": {"episode_duration": 0.4},
@@ -76,14 +33,10 @@ VALUES = {
 
 
 @pytest.fixture
-def algorithm(tmp_path, monkeypatch):
-    (tmp_path / "my_study_algorithm.py").write_text(ALGORITHM)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "my_study_algorithm", raising=False)
-    import my_study_algorithm
-
-    yield my_study_algorithm.Trainer
-    monkeypatch.delitem(sys.modules, "my_study_algorithm")
+def algorithm(monkeypatch):
+    monkeypatch.setattr(Trainer, "calls", [])
+    monkeypatch.setattr(Trainer, "fate", "finish")
+    return Trainer
 
 
 @pytest.fixture
@@ -142,7 +95,7 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
 
 
 def test_training_seeds_share_the_rows_of_their_controller_and_correct_the_same_seed(algorithm, settings, tmp_path):
-    after = {"kind": "my_study_algorithm:Trainer", "settings": {"gain": 1.0}, "corrects": "mine"}
+    after = {"kind": "gain_trainer:Trainer", "settings": {"gain": 1.0}, "corrects": "mine"}
     values = {**VALUES, "controllers": {**CONTROLLERS, "after": after}}
     result = whole_study(StudySettings(**values), tmp_path / "out", range(3, 5))
     assert [call["seed"] for call in algorithm.calls] == [3, 4, 3, 4]
@@ -173,7 +126,7 @@ def test_a_stopped_training_goes_on_from_its_checkpoint_and_never_from_an_older_
 
 
 def test_a_controller_that_fails_stops_the_study_before_it_trains(algorithm, tmp_path):
-    controllers = {**CONTROLLERS, "broken": {"kind": "my_study_algorithm:Broken"}}
+    controllers = {**CONTROLLERS, "broken": {"kind": "gain_trainer:Broken"}}
     with refused(r"controllers\.broken: seed 1999998, at 0.000 s: predict returned nan"):
         run_study(StudySettings(**{**VALUES, "controllers": controllers}), tmp_path / "out", seed=0)
     assert algorithm.calls == []
@@ -182,7 +135,7 @@ def test_a_controller_that_fails_stops_the_study_before_it_trains(algorithm, tmp
 
 def test_evaluate_joins_training_seeds_and_keeps_the_results_of_the_others(settings, tmp_path, capsys):
     file, out = study_file(tmp_path), tmp_path / "out"
-    agents = ["mine#0=pid", "mine#1=flow_linearising", "broken=my_study_algorithm:Broken"]
+    agents = ["mine#0=pid", "mine#1=flow_linearising", "broken=gain_trainer:Broken"]
     with refused(r"broken under task: .*out holds the other results"):
         evaluate(out, file, agents)
     status = pd.read_csv(out / "tables" / "status.csv").set_index("controller").loc["broken"]
