@@ -271,7 +271,9 @@ def try_evaluation() -> None:
     conditions = {name: quick.conditions[name] for name in ("leak_8", "thin_oil")}
     task = {"episode_duration": 0.3}
     protocol = RobustnessProtocol(task=task, plants=3, families=["step"], standstill_plants=0, conditions=conditions)
-    assert protocol.parameters_in("thin_oil")["fluid"]["bulk_modulus"] == 0.7 * protocol.task.plant.fluid.bulk_modulus
+    thin = protocol.cases_of("thin_oil", protocol.cases_in("thin_oil")).parameters
+    assert thin is not None
+    assert thin["fluid"]["bulk_modulus"] == 0.7 * protocol.task.plant.fluid.bulk_modulus
     assert protocol.task_in("thin_oil").plant == protocol.task.plant
     chosen = participants({"PID": "pid", "Flow linearisation": "flow_linearising"}, protocol)
     tables = run_protocol(protocol, chosen).tables()
