@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from hydro_agents.running.text import number, span
+from hydro_agents.running.text import number
 from paper.force_rate import shares
 from paper.loop import closed_bode_summary
 from paper.moves import displacement_summary
@@ -119,7 +119,7 @@ def terms(table: pd.DataFrame) -> Shown:
             "Leakage slows the build-up of the force",
             PART if both else YES if against else NO,
             "leakage term, kN/s; its sign is that of P_b − P_a",
-            span(1e-3 * leakage.min(), 1e-3 * leakage.max(), 1),
+            f"{number(1e-3 * leakage.min(), 1)} to {number(1e-3 * leakage.max(), 1)}",
         ),
     )
     merged = {}

@@ -39,11 +39,6 @@ def setting(value: float) -> str:
     return f"{value:g}".replace("-", "−")
 
 
-def span(low: float, high: float, decimals: int = 0) -> str:
-    """A range: 1 to 4."""
-    return f"{number(low, decimals)} to {number(high, decimals)}"
-
-
 def listed(parts: Sequence[str]) -> str:
     """Parts as a list in a sentence: a, b and c."""
     if len(parts) == 1:
