@@ -98,7 +98,7 @@ class Writer:
                     self._readers.setdefault(operand.whole, []).append(node)
         self._unread = self._kept + Counter({node: len(readers) for node, readers in self._readers.items()})
 
-    def statements(self, nodes: Sequence[Node], indent: str = "    ") -> list[str]:
+    def statements(self, nodes: Sequence[Node]) -> list[str]:
         """Statements that compute nodes, operands first; each result gets a variable."""
         lines: list[str] = []
         origin = ""
@@ -109,14 +109,14 @@ class Writer:
                 plain = re.sub(r"/\*|\*/|\(\*|\*\)", lambda mark: " ".join(mark[0]), origin)
                 lines.append(self.language.comment.format(plain))
             lines += written
-        return [f"{indent}{line}" for line in lines]
+        return lines
 
-    def kept(self, name: str, node: Node, lines: list[str], indent: str = "    ") -> str:
+    def kept(self, name: str, node: Node, lines: list[str]) -> str:
         """A separate variable for a result; statements that define it go to ``lines``."""
         if node in self._names and node.operation != "constant":
             return self._names[node]
         variable = self._new_name(name)
-        lines += [f"{indent}{line}" for line in self._defined(node, variable, self.element(node, "i"))]
+        lines += self._defined(node, variable, self.element(node, "i"))
         return variable
 
     def stored(self, target: str, variable: str, size: int) -> str:

@@ -243,47 +243,41 @@ def written_step(
         texts: variable of each input of the graph, and of each part of the memory, by its name.
         outputs: variable of each output, by its name; some are parts of the memory too.
     """
-    graph, shared, language = controller.graph, controller.common, writer.language
+    shared, language = controller.common, writer.language
     parts = {part.name: part for part in controller.memory}
     texts = {**texts, **{name: outputs[name] for name in parts if name in outputs}}
     answers = {ANSWER + name: outputs.get(name, name) for name in controller.block.answers}
     writer.inputs = {**texts, **answers}
-    started, continued = controller.case(STARTED), controller.case(CONTINUED)
-    later = set(in_order([*continued.values()]))
-    both = [node for node in in_order([*started.values()]) if node in later]
-    every = in_order([*shared.values(), *both])
-    last = _following(every, {graph.inputs[name] for name in answers})
-    before = [node for node in every if node not in last]
+    before, last = _around_answers(controller)
 
-    def stores(new: Mapping[str, Node], lines: list[str], indent: str) -> list[str]:
-        """Statements that keep what changes in the memory; ``lines``: those before, to which others may be added."""
+    def store(new: Mapping[str, Node], lines: list[str]) -> None:
+        """Add statements that keep what changes in the memory, after all values of it are read."""
         stored = []
         for name, node in new.items():
             if name in parts and node is not parts[name]:
-                variable = writer.kept(f"new_{field(name)}", node, lines, indent)
-                stored.append(indent + writer.stored(texts[name], variable, node.size))
-        return stored
+                variable = writer.kept(f"new_{field(name)}", node, lines)
+                stored.append(writer.stored(texts[name], variable, node.size))
+        lines += stored
 
     def case(new: dict[str, Node]) -> str:
-        """The statements of a case; all values are read before the memory changes."""
-        indent = " " * 8
-        lines = writer.statements([node for node in in_order([*new.values()]) if node not in before], indent)
+        """The statements of a case."""
+        lines = writer.statements([node for node in in_order([*new.values()]) if node not in before])
         for name, text in answers.items():
-            lines.append(indent + language.assign.format(text, writer.element(new[name], 0)))
-        stored = stores(new, lines, indent)
+            lines.append(language.assign.format(text, writer.element(new[name], 0)))
+        store(new, lines)
         writer.release(*new.values())
-        return "\n".join([*lines, *stored])
+        return "\n".join(lines)
 
     common = writer.statements(before)
     for name in ("controls", "begins"):
         writer.kept(name, shared[name], common)
-    cases = {"started": case(started), "continued": case(continued)}
-    idle = [" " * 8 + language.assign.format(text, language.number(0.0)) for text in answers.values()]
-    after = writer.statements([node for node in every if node in last])
-    after += stores(shared, after, "    ")
+    cases = {"started": case(controller.case(STARTED)), "continued": case(controller.case(CONTINUED))}
+    idle = [language.assign.format(text, language.number(0.0)) for text in answers.values()]
+    after = writer.statements(last)
+    store(shared, after)
     for name, text in outputs.items():
         if name not in parts and OUTPUT + name in shared:
-            after.append("    " + language.assign.format(text, writer.element(shared[OUTPUT + name], 0)))
+            after.append(language.assign.format(text, writer.element(shared[OUTPUT + name], 0)))
     return {
         **cases,
         "common": "\n".join(common),
@@ -299,13 +293,19 @@ def written_step(
     }
 
 
-def _following(nodes: list[Node], sources: set[Node]) -> set[Node]:
-    """Some nodes, and those of the others, operands first, that follow from them."""
-    following = set(sources)
-    for node in nodes:
-        if not following.isdisjoint(operand.whole for operand in node.operands):
+def _around_answers(controller: ControllerGraph) -> tuple[list[Node], list[Node]]:
+    """What start and continuation share: nodes before the controller's answers, and those that follow from them."""
+    later = set(in_order([*controller.case(CONTINUED).values()]))
+    both = [node for node in in_order([*controller.case(STARTED).values()]) if node in later]
+    following = {controller.graph.inputs[ANSWER + name] for name in controller.block.answers}
+    before, after = [], []
+    for node in in_order([*controller.common.values(), *both]):
+        if following.isdisjoint(operand.whole for operand in node.operands):
+            before.append(node)
+        else:
             following.add(node)
-    return following
+            after.append(node)
+    return before, after
 
 
 def field(name: str) -> str:

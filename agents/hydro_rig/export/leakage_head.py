@@ -14,7 +14,7 @@ from hydro_agents.detection.balance import fit, fit_balance
 from hydro_agents.detection.damaged_signals import bounds_of, find_stuck, repair
 from hydro_agents.detection.detector import SIGNALS, MeasuredColumns
 from hydro_agents.detection.features import FEATURES, describe
-from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageEstimate, LeakageHead
+from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageHead
 from hydro_agents.running.seeds import HEAD_VECTORS
 from hydro_env import ServoHydraulicVectorEnv, __version__
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
@@ -66,7 +66,7 @@ def head_code(head: LeakageHead) -> CCode:
     fields, numbers = [], {}
     for name, part in sheet.items():
         fields.append((array(*np.shape(part), constant=True) if np.ndim(part) else DOUBLE, name))
-        numbers[name] = np.ravel(part).tolist() if np.ndim(part) else float(part)
+        numbers[name] = np.ravel(part) if np.ndim(part) else float(part)
     of_sheet = translator.record("Sheet", fields)
     signals, lost = array(1, len(SIGNALS), window), array(1, len(SENSORS))
     of_fit = translator.record("BalanceFit", [(array(*np.shape(part)), name) for name, part in fitted.items()])
@@ -80,19 +80,17 @@ def head_code(head: LeakageHead) -> CCode:
     writer = Writer(graph, {"features": "features"}, taken=("features", "answer"), prefix="network_")
     network = writer.statements(graph.nodes())
     answer = writer.kept("answers", graph.outputs["answer"], network)
-    network.append(f"    for (int i = 0; i < {len(FIELDS)}; ++i) answer[i] = {answer}[i];")
+    network.append(writer.stored("answer", answer, len(FIELDS)))
     values: dict[str, Any] = {
         **_texts(head),
         "sensors": len(SENSORS),
-        "meanings": [(name, FIELDS[name]) for name in LeakageEstimate._fields],
         "features": len(FEATURES),
         "structs": translator.structs,
         "functions": translator.functions,
         "sheet": numbers,
-        "scale": head.scale.tolist(),
-        "limit": limit.tolist(),
+        "limit": limit,
         "beside_stuck_sensor": BESIDE_STUCK_SENSOR,
-        "bounds": bounds.ravel().tolist(),
+        "bounds": bounds.ravel(),
         "fitted": [(name, np.size(part)) for name, part in fitted.items()],
         "tables": writer.tables,
         "network": "\n".join(network),
@@ -105,11 +103,9 @@ def _texts(head: LeakageHead) -> dict[str, Any]:
     """What all templates say."""
     return {
         "version": __version__,
-        "fields": list(FIELDS),
-        "sample_time": head.settings.task.control_period,
-        "window": head.settings.window,
-        "interval": head.interval,
-        "threshold": head.settings.threshold,
+        "head": head,
+        "settings": head.settings,
+        "fields": FIELDS,
         "signals": [(name, *MEANINGS[name]) for name in SIGNALS],
     }
 

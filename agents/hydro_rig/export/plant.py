@@ -43,8 +43,6 @@ from hydro_rig.export.expressions import DOUBLE
 from hydro_rig.export.translator import Translator
 
 MODEL = "hydro_axis"
-KERNEL = ("FIRST_STEP", "MAXIMUM_STEP", "TOLERANCE", "SHORTEST_STEP")  # numbers of the integrator in the C code
-
 BINARIES = {"linux": ("linux64", ".so"), "win32": ("win64", ".dll"), "darwin": ("darwin64", ".dylib")}
 """Folder and suffix of the binary in the FMU, by system; FMI 2.0 knows 64-bit x86 alone."""
 
@@ -77,15 +75,11 @@ def plant_code(parameters: PlantParameters | None = None) -> CCode:
         "axis": state.element,
         "states": [(name, ALL_STATES[name].unit) for name in kind._fields],
         "parameters": list(zip(PARAMETER_PATHS, to_vector(parameters).tolist(), strict=True)),
-        "coefficients": len(Coefficients._fields),
-        "coefficient_names": Coefficients._fields,
+        "coefficients": Coefficients._fields,
         "shared": shared,
         "structs": [text for text in translator.structs if text not in shared],
         "functions": translator.functions,
-        "stages": kernel.STAGES,
-        "error": kernel.ERROR,
-        "kernel": {name: getattr(kernel, name) for name in KERNEL},
-        "most_steps": kernel.MOST_STEPS_PER_PERIOD,
+        "kernel": kernel,
     }
     return c_code("plant", values)
 
@@ -181,7 +175,7 @@ def make_fmu(config: TaskConfig) -> bytes:
     Raises:
         HydroError: this machine has no C compiler or no 64-bit x86, or the compiler failed.
     """
-    variables = fmu_variables(config)
+    variables, kind = fmu_variables(config), state_kind(config.plant.structure)
     code = plant_code(config.plant)
     values = {
         "version": __version__,
@@ -189,8 +183,8 @@ def make_fmu(config: TaskConfig) -> bytes:
         "variables": variables,
         "units": sorted({variable.unit for variable in variables} - {""}),
         "infinite": math.inf,
-        "axis": state_kind(config.plant.structure).__name__,
-        "states": state_kind(config.plant.structure)._fields,
+        "axis": kind.__name__,
+        "states": kind._fields,
         "derived": Derived._fields,
         "leak": LEAK_LAWS[config.leakage.law],
         "flow_to_leak": LITRE_PER_MINUTE / LEAK_LAWS[config.leakage.law].at_test,

@@ -79,7 +79,7 @@ def in_c(graph, folder):
     writer = Writer(graph, inputs, taken=[*graph.inputs, *(f"to_{name}" for name in graph.outputs)])
     lines = writer.statements(graph.nodes())
     for name, node in graph.outputs.items():
-        lines.append(f"    for (int i = 0; i < {node.size}; ++i) to_{name}[i] = {writer.element(node, 'i')};")
+        lines.append(f"for (int i = 0; i < {node.size}; ++i) to_{name}[i] = {writer.element(node, 'i')};")
     arguments = [f"const {C.types[node.kind]} *{name}" for name, node in graph.inputs.items()]
     arguments += [f"{C.types[node.kind]} *to_{name}" for name, node in graph.outputs.items()]
     head = f"void run({', '.join(arguments)})"
