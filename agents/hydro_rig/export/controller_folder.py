@@ -233,13 +233,10 @@ def exported_files(
         "st_name": st_name,
         "samples": len(vectors),
         "allowed": LARGEST_DIFFERENCE * FULL_VOLTAGE,
-        "latency": config.command_latency,
-        "numbers": graph.inputs,
         "compared": COMPARED,
         "lost_rule": LOST_RULE,
         "outside": OUT_OF_RANGE,
         "products": f"FUNCTION {name}Product1 " in in_text,
-        "state_size": sum(part.size for part in graph.memory),
         "all_gains": gain_rows(gains) if isinstance(gains, Group) else [],
     }
     in_onnx = check_onnx(model, graph, vectors)

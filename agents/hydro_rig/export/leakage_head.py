@@ -66,7 +66,7 @@ def head_code(head: LeakageHead) -> CCode:
     fields, numbers = [], {}
     for name, part in sheet.items():
         fields.append((array(*np.shape(part), constant=True) if np.ndim(part) else DOUBLE, name))
-        numbers[name] = np.ravel(part) if np.ndim(part) else float(part)
+        numbers[name] = np.ravel(part).tolist() if np.ndim(part) else float(part)
     of_sheet = translator.record("Sheet", fields)
     signals, lost = array(1, len(SIGNALS), window), array(1, len(SENSORS))
     of_fit = translator.record("BalanceFit", [(array(*np.shape(part)), name) for name, part in fitted.items()])
@@ -88,9 +88,9 @@ def head_code(head: LeakageHead) -> CCode:
         "structs": translator.structs,
         "functions": translator.functions,
         "sheet": numbers,
-        "limit": limit,
+        "limit": limit.tolist(),
         "beside_stuck_sensor": BESIDE_STUCK_SENSOR,
-        "bounds": bounds.ravel(),
+        "bounds": bounds.ravel().tolist(),
         "fitted": [(name, np.size(part)) for name, part in fitted.items()],
         "tables": writer.tables,
         "network": "\n".join(network),

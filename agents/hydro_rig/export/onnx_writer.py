@@ -197,8 +197,8 @@ def controller_model(controller: ControllerGraph) -> Any:
     outputs = {"next_memory": Node("collect", pieces, size, DOUBLE, np.arange(size), name="joined_memory")}
     for name in controller.outputs:
         outputs[name] = new.get(OUTPUT + name) or new[ANSWER + name]
-    facts = facts_of(controller, "")
-    return writer.model(outputs, facts["title"], {"sample_time": repr(facts["sample_time"])})
+    facts = {"sample_time": repr(controller.signals.config.control_period)}
+    return writer.model(outputs, facts_of(controller, "")["title"], facts)
 
 
 def _converted(node: Node, kind: np.dtype[Any], name: str) -> Node:
