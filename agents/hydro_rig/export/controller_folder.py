@@ -33,11 +33,7 @@ MODEL_FILE, TASK_FILE = "controller.onnx", "task.yaml"
 FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them
 LONGEST = 180  # control periods per episode of the vectors
 TOUR = 600  # control periods that suffice for the tour through all states
-FREE = {
-    "output_rate": 1e9,
-    "max_speed": 1e9,
-    "max_acceleration": 1e9,
-}  # the controller itself, at its reference at once
+FREE = {"output_rate": 1e9, "max_speed": 1e9, "max_acceleration": 1e9}  # the controller itself, without the block
 COMPARED = ("command", "state", "fault_code")
 
 
