@@ -23,7 +23,6 @@ from joblib import Parallel, delayed
 from sb3_contrib import TQC, CrossQ, RecurrentPPO
 from scipy.stats import trim_mean
 from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 
 from benchmarks import command_line
@@ -36,7 +35,7 @@ from hydro_env import TaskConfig, __version__
 from hydro_env.files import write_text
 from hydro_env.types import Floats
 
-ALGORITHMS: Mapping[str, tuple[type[BaseAlgorithm], str, float]] = {  # with the policy, and the share of the steps
+ALGORITHMS: Mapping[str, tuple[Any, str, float]] = {  # with the policy, and the share of the steps
     "PPO": (PPO, "MlpPolicy", 1.0),
     "RecurrentPPO": (RecurrentPPO, "MlpLstmPolicy", 1.0),
     "SAC": (SAC, "MlpPolicy", 0.3),

@@ -320,8 +320,8 @@ def _features_of(model: Any) -> PolicyFeatures:
     if scaling is not None:
         if features.normalisation is not None:
             raise ConfigurationError("from_sb3: VecNormalize and normalised features: one of them must be absent")
-        found, unit = scaling.obs_rms, np.sqrt(scaling.obs_rms.var + scaling.epsilon)
-        features.normalisation = Standardisation(np.float32(found.mean), np.float32(unit), np.float32(scaling.clip_obs))
+        numbers = (scaling.obs_rms.mean, np.sqrt(scaling.obs_rms.var + scaling.epsilon), scaling.clip_obs)
+        features.normalisation = Standardisation(*(np.asarray(part, np.float32) for part in numbers))
     return features
 
 
