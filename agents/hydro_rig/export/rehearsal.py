@@ -152,6 +152,8 @@ def _play(block: CBlock, config: TaskConfig, scene: Scene) -> Take:
     usual = block.values
     moving = 2.0 * amplitude / usual.max_speed + usual.max_speed / usual.max_acceleration
     ready, move, pause = (round(time / period) for time in (READY, moving + REST, PAUSE))
+    if scene.event == "restart":  # it stands for the pause, and accelerates a second time
+        move += pause + round(usual.max_speed / usual.max_acceleration / period)
     moves = (ready, ready + move, ready + 2 * move)
     event = ready + round(0.5 * moving / period)
     late = config.command_latency + scene.late * period
