@@ -149,7 +149,7 @@ class Disturbance(TaskGroup):
     steady_share: Range = interval(
         (0.0, 0.0),
         "1",
-        "steady force from the start, as a share of what the supply gives against it; sign drawn",
+        "steady force from the start, as a share of what the supply has left against it; sign drawn",
         0.0,
         1.0,
     )

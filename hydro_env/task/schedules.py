@@ -89,12 +89,13 @@ def _disturbed(key, settings):
 
 @inline
 def draw_steady_force(row, coefficient, key, settings):
-    """Add the constant part of the disturbance to the plant's own external force."""
+    """Add the constant part of the disturbance to the plant's own external force: a share of what that leaves."""
     share = settings.disturbance.steady_share
     c = read_coefficients(coefficient)
     out, back = supply_forces(c)
     part = between(key, 4, share[0], share[1]) if _disturbed(key, settings) else 0.0
-    row.force_base = c.external_force + (part * out if uniform(key, 5) < 0.5 else -part * back)
+    own = c.external_force
+    row.force_base = own + (part * (out - own) if uniform(key, 5) < 0.5 else -part * (back + own))
     coefficient[_EXTERNAL_FORCE] = row.force_base
 
 
