@@ -86,9 +86,13 @@ def study_page(configuration: str) -> PageOf:
 
 
 def example_traces(results: Results) -> list[Example]:
-    """Time traces of two test episodes under every controller (of several training seeds the first), at every leak."""
+    """Time traces of test episodes under every controller (of several training seeds the first), at every leak.
+
+    There is one of each kind of reference in :data:`EXAMPLE_FAMILIES` that the protocol has.
+    """
     protocol, runs = results.protocol, {}
-    families, leaks = list(EXAMPLE_FAMILIES), sorted(protocol.leak_levels)
+    families = [family for family in EXAMPLE_FAMILIES if family in protocol.families]
+    leaks = sorted(protocol.leak_levels)
     count = len(families) * len(leaks)
     cases = Cases(
         np.full(count, EXPERIMENT_AXES.first, dtype=np.int64),
@@ -97,7 +101,7 @@ def example_traces(results: Results) -> list[Example]:
     )
     for label, controller in results.participants.controllers.items():
         name = split_name(label)[0]
-        if name in results.controllers and name not in runs:
+        if families and name in results.controllers and name not in runs:
             runs[name] = run_cases(protocol.task, controller, cases)
     examples = []
     for case, (family, leak) in enumerate(product(families, leaks)):

@@ -38,7 +38,7 @@ def summary(results: Results) -> pd.DataFrame:
                 chosen = grid.sample(controller, metric, *part)
                 if not chosen.plants:
                     continue
-                worst = own.loc[own[metric].idxmin() if metric == RETURN else own[metric].idxmax()]
+                worst = own.loc[own[metric].idxmin() if about.more_is_better else own[metric].idxmax()]
                 rows.append(
                     {
                         "controller": controller,

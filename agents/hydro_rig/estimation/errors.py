@@ -24,6 +24,7 @@ WORTH = 6.0  # least gain of twice the log-likelihood by which a slow error is b
 SLOW = 1.0  # slow error that the data sheet does not explain, in standard deviations of its noise
 SHORT = 2.0  # samples; memory of noise that looks like a slow error
 LASTING = 0.05  # of the window; least memory of a slow error that is no coloured noise
+NOISY = 1.1  # white noise over that of the data sheet from which on a channel contradicts it
 LEAST_WHITE = 0.1  # smallest white noise, over that of the data sheet
 
 SPIKE = 5.0  # robust standard deviations from the median of its neighbours beyond which a residual is a spike

@@ -14,7 +14,7 @@ import numpy as np
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_env.types import Floats, Indices
-from hydro_rig.estimation.errors import Errors, errors_of
+from hydro_rig.estimation.errors import NOISY, Errors, errors_of
 from hydro_rig.estimation.estimate import estimate, usable_readings
 from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_rig.estimation.progress import tell
@@ -48,8 +48,6 @@ UNKNOWN_COMMANDS = 2  # readings at each end of a window that are left out if it
 LINEARISATIONS = 3
 """Of the result, each with differences as long as the uncertainty that the one before has shown. Short ones are rough,
 and roughness looks like information: an unknown without influence would seem to be known."""
-
-NOISY = 1.1  # white noise over that of the data sheet from which on it is taken from the residuals
 
 STARTING_VALUES = 2  # common fits from different values; the best is taken
 
@@ -94,6 +92,11 @@ class Common(NamedTuple):
         misfit = np.full(count, np.inf)
         misfit[kept] = joint.misfit
         return cls(problem, joint, misfit)
+
+    def continued(self, problem: Problem, first: Floats) -> Common:
+        """The fit of the same windows with another problem, from its first values on."""
+        kept = np.flatnonzero(np.isfinite(self.misfit))
+        return Common.of(len(self.misfit), kept, problem, fit_together(problem, first))
 
     @property
     def model(self) -> Model:
@@ -152,12 +155,11 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
             second = _common_fit(windows, config, priors, alone)
             best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
-    if 2 * best.explained < len(windows) and config.sensors.enabled:
-        timed = _with_timing(best)
-        if timed.explained > best.explained:  # otherwise it would only take up another error of the model
-            best = timed
-    if 2 * best.explained < len(windows) and config.sensors.enabled:
-        best = max(best, _with_noise(best), key=lambda found: found.explained)
+    for remedy in (_with_timing, _with_noise):
+        if 2 * best.explained < len(windows) and config.sensors.enabled:
+            mended = remedy(best)
+            if mended.explained > best.explained:  # otherwise it would only take up another error of the model
+                best = mended
     tell(PHASE, 1, 1)
     return best
 
@@ -173,9 +175,7 @@ def _with_noise(found: Common) -> Common:
         return found
     errors = Errors.of_data_sheet(*known.shape[:2])
     errors.white[:, noisy] = white[noisy]
-    problem = problem._replace(errors=errors)
-    joint = fit_together(problem, joint.scaled)
-    return Common.of(len(found.misfit), np.flatnonzero(np.isfinite(found.misfit)), problem, joint)
+    return found.continued(problem._replace(errors=errors), joint.scaled)
 
 
 def _with_timing(found: Common) -> Common:
@@ -195,8 +195,7 @@ def _with_timing(found: Common) -> Common:
             moved[:, names.index(LATENCY)] = rows * period / more[LATENCY].deviation
             trials.append(moved)
     rough = [descend(problem, trial)[0] for trial in trials]
-    joint = fit_together(problem, rough[int(np.argmin(costs_of(problem, rough)))])
-    return Common.of(len(found.misfit), np.flatnonzero(np.isfinite(found.misfit)), problem, joint)
+    return found.continued(problem, rough[int(np.argmin(costs_of(problem, rough)))])
 
 
 def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> Problem:

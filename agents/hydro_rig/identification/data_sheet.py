@@ -13,14 +13,14 @@ import numpy as np
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SENSORS
-from hydro_rig.estimation.errors import SLOW
+from hydro_rig.estimation.errors import NOISY, SLOW
 from hydro_rig.estimation.model import noise_of
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
 from hydro_rig.identification.found_rig import shown
 from hydro_rig.recordings.findings import Finding, Weight
 
-MORE, LESS = 1.1, 0.7  # white noise over that of the data sheet that is worth a line
+LESS = 0.7  # white noise over that of the data sheet that is worth a line, as is more than NOISY
 LATENCY_CHANGE = 0.1  # difference of the latency that is worth a line, in control periods
 RISE_TIME_CHANGE = 1e-3  # s
 MOST_DIFFER = 0.5  # share of the windows with an answer from which on the model counts as wrong
@@ -49,7 +49,7 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
     spiky = []
     for channel, name in enumerate(SENSORS):
         white, slow, spikes = (float(np.median(part[:, channel])) for part in (used.white, used.slow, used.spikes))
-        if not LESS <= white <= MORE:
+        if not LESS <= white <= NOISY:
             odd.append((name, f"scatters {number(white, 1)} times its data sheet"))
         if slow > SLOW:
             odd.append((name, f"differs slowly from the model, by {_size(channel, slow, task)}"))
@@ -64,7 +64,7 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
 def worst_signal(found: Estimate, task: TaskConfig) -> str:
     """The signal that differs most from the model, and how: ``pressure_a differs most, slowly, by 3.2 bar``."""
     slow, white = np.median(found.slow, axis=0), np.median(found.white, axis=0)
-    total = np.hypot(slow, np.where(white > MORE, white, 0.0))
+    total = np.hypot(slow, np.where(white > NOISY, white, 0.0))
     channel = int(total.argmax())
     if not total[channel] > SLOW:
         return ""
