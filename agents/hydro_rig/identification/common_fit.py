@@ -155,7 +155,7 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
             second = _common_fit(windows, config, priors, alone)
             best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
-    for remedy in (_with_timing, _with_noise):
+    for remedy in (_with_timing, _with_noise, lambda found: _with_noise(_with_timing(found))):
         if 2 * best.explained < len(windows) and config.sensors.enabled:
             mended = remedy(best)
             if mended.explained > best.explained:  # otherwise it would only take up another error of the model

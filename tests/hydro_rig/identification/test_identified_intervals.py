@@ -150,13 +150,16 @@ def test_a_rise_time_that_the_task_does_not_say_is_found(tmp_path):
     assert fit.unknowns[0].low <= 0.3 <= fit.unknowns[0].high
 
 
-def test_the_noise_of_a_channel_that_scatters_more_than_its_data_sheet_is_found(tmp_path):
+@pytest.mark.parametrize("latency", [1e-3, 3e-3], ids=["timely", "late"])
+def test_the_noise_of_a_channel_that_scatters_more_than_its_data_sheet_is_found(latency, tmp_path):
     """Before, one such channel left every window unexplained, and nothing was determined."""
     config = task_config("as_given", randomisation={"load.mass": {"factor": [0.8, 1.2]}}, episode_duration=4.0)
     noise = 1.6 * config.sensors.pressure_b.noise
-    fit = fit_of(tmp_path / "a.csv", task_config(config, sensors={"pressure_b": {"noise": noise}}), (4, 200), config)
+    rig = task_config(config, sensors={"pressure_b": {"noise": noise}}, command_latency=latency)
+    fit = fit_of(tmp_path / "a.csv", rig, (4, 200), config)
     assert fit.explained.all()
     np.testing.assert_allclose(fit.noise, np.where(np.array(SENSORS) == "pressure_b", 1.6, 1.0), rtol=0.05)
+    assert fit.own().get("command_latency", config.command_latency) == pytest.approx(latency, abs=1e-4)
     assert fit.unknowns[0].low <= 0.3 <= fit.unknowns[0].high
 
 
