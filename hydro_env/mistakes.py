@@ -29,7 +29,7 @@ def _plain(name: str) -> str:
 
 
 def unknown(given: object, known: Iterable[str], what: str = "") -> str:
-    """``unknown; did you mean pid? known: pid, lqg``, or ``unknown fault 'x'; known: …`` if ``what`` is ``fault``."""
+    """``unknown; did you mean pid? known: pid, ppo``, or ``unknown fault 'x'; known: …`` if ``what`` is ``fault``."""
     names = list(known)
     name = f" {what} '{str(given)[:60]}'" if what else ""
     return f"unknown{name}{did_you_mean(given, names) or ';'} known: {', '.join(names)}"

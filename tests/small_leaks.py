@@ -48,7 +48,7 @@ class Spread:
 LEVELS = [0.0, 0.05, 0.1, 0.2, 0.3, 1.0, -1.0]
 CONDITIONS = {
     "plain": {"group": "levels", "label": "ordinary motion", "duration": 2.0, "levels": LEVELS},
-    "adrc": {"group": "controller", "label": "ADRC", "acting": "ADRC", "levels": [0.0, 0.1]},
+    "three_step": {"group": "controller", "label": "switch", "acting": "three-step switch", "levels": [0.0, 0.1]},
     "null": {"group": "fault", "label": "valve null −1 %", "faults": {"valve_null_shift": -0.01}},
 }
 COUNT = 100
@@ -94,8 +94,8 @@ def made_up_run():
     found = {0.0: 1, 0.05: 30, 0.1: 70, 0.2: 98, 0.3: 100, 1.0: 100, -1.0: 50}
     frames = [cell(name, "plain", level, hits) for name in ("head", "estimator") for level, hits in found.items()]
     frames += [
-        cell("head", "adrc", 0.0, 4),
-        cell("head", "adrc", 0.1, 50),
+        cell("head", "three_step", 0.0, 4),
+        cell("head", "three_step", 0.1, 50),
         cell("head", "null", 0.0, 60),
         cell("head", "null", 0.3, 100, factor=2.0),
         cell("estimator", "null", 0.0, 0, verdict=Cause.VALVE, silent=80),
@@ -103,7 +103,7 @@ def made_up_run():
     ]
     thresholds = pd.DataFrame({"detector": ["head", "estimator"], "at_1_percent": 0.5, "used": 0.5, "windows": 200})
     status = pd.DataFrame(
-        [("head", "plain", "done", ""), ("estimator", "adrc", "not applicable", "reads no ADRC")],
+        [("head", "plain", "done", ""), ("estimator", "three_step", "not applicable", "reads no switch")],
         columns=["detector", "condition", "status", "message"],
     )
     bound = pd.DataFrame({"condition": "plain", "level": [0.3, 0.3, 1.0], "seed": 0.0, "sigma_lpm": [0.01, 0.03, 0.05]})

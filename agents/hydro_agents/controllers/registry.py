@@ -13,11 +13,9 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from hydro_agents.controllers.adrc import ADRC, ADRCGains
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.by_name import imported
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.controllers.lqg import LQG, LQGGains
 from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
@@ -28,8 +26,6 @@ from hydro_env.units import FULL_VOLTAGE
 CONTROLLERS: dict[str, tuple[type[ClassicalController], type[Group]]] = {
     "pid": (PID, PIDGains),
     "flow_linearising": (FlowLinearising, FlowLinearisingGains),
-    "adrc": (ADRC, ADRCGains),
-    "lqg": (LQG, LQGGains),
 }
 """Each classical controller by kind: its class, and the class of its gains."""
 

@@ -210,8 +210,6 @@ ACTING: dict[str, Acting] = {
     "PPO on flow linearisation": Acting(partial(_shipped, "ppo"), True),
     "flow-linearising": Acting(partial(_shipped, "flow_linearising"), True),
     **{name: Acting(partial(Operation, manner), True) for name, manner in MANNERS.items()},
-    "ADRC": Acting(partial(_shipped, "adrc"), False),
-    "LQG": Acting(partial(_shipped, "lqg"), False),
     "sliding mode": Acting(partial(_Unseen, _sliding_mode), False),
     "three-step switch": Acting(partial(_Unseen, _three_step), False),
     "swept sine": Acting(partial(_Unseen, _swept_sine), False),

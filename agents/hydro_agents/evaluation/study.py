@@ -20,14 +20,7 @@ from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name
-from hydro_agents.learning.loading import (
-    ANY_RIG,
-    SHIPPED_WEIGHTS,
-    load_controller,
-    shipped,
-    ships,
-    usual_gains,
-)
+from hydro_agents.learning.loading import SHIPPED_WEIGHTS, load_controller, shipped, ships, usual_gains
 from hydro_agents.learning.rig_gains import searched_gains
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import mappings, read_task, timed_task
@@ -240,7 +233,7 @@ class StudySettings(Group):
         if entry.trainer is None:
             return load_controller(self.make(name), self.task, name)
         corrected = self.controllers.get(entry.corrects or "")
-        if entry.kind in SHIPPED_WEIGHTS and corrected is not None and corrected.kind in ANY_RIG:
+        if entry.kind in SHIPPED_WEIGHTS and corrected is not None and corrected.kind == "flow_linearising":
             settings: Any = entry.settings
             has_memory = bool(settings.lstm_cells)
             if settings.law or not has_memory:  # of the shipped ones only those for any axis have a memory
@@ -339,5 +332,5 @@ def _begun(entry: ControllerEntry) -> ControllerEntry:
     if entry.kind not in CONTROLLERS:
         return entry
     gains = CONTROLLERS[entry.kind][1]
-    usual = entry.kind in ANY_RIG and entry.settings == gains.model_validate(read_yaml(usual_gains(entry.kind)))
+    usual = entry.kind != "pid" and entry.settings == gains.model_validate(read_yaml(usual_gains(entry.kind)))
     return entry.changed(tune=entry.tune or TuningSettings(), settings=gains() if usual else entry.settings)

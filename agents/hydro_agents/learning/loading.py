@@ -30,9 +30,6 @@ _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 SHIPPED_WEIGHTS = {"ppo": "policy"}
 """File of the shipped weights by kind; the same with ``_any_axis`` holds those for any axis."""
 
-ANY_RIG = ("flow_linearising",)
-"""Kinds whose class has gains for any rig as its defaults; benchmarks/no_tuning.py tunes and judges them."""
-
 
 class GainsOrigin(StrEnum):
     """Where the gains of a classical controller come from on a rig; in words for a person."""
@@ -42,7 +39,6 @@ class GainsOrigin(StrEnum):
     SEARCHED = "searched on a simulation of this rig"
     FIGURES = "from the figures of this rig"
     RIG = "from the figures of this rig, and a simulation of it"
-    NOWHERE = "none: those that ship belong to another rig"
 
 
 def _chosen(kind: str, config: TaskConfig) -> Group:
@@ -65,7 +61,7 @@ def shipped(kind: str, config: TaskConfig, gains: GainsFor = _chosen) -> Control
     :func:`load_controller` searches for a minute.
 
     Raises:
-        ConfigurationError: the kind is not shipped, or has no gains for the rig.
+        ConfigurationError: the kind is not shipped, or no gains of a PID suit the rig.
 
     Example:
         >>> from hydro_agents.learning.loading import shipped
@@ -79,13 +75,9 @@ def shipped(kind: str, config: TaskConfig, gains: GainsFor = _chosen) -> Control
     match origin_of_gains(kind, config):
         case GainsOrigin.TUNED:
             return make_controller(kind, config, read_yaml(usual_gains(kind)))
-        case GainsOrigin.ANY_RIG:
-            return make_controller(kind, config)
         case GainsOrigin.RIG:
             return make_controller(kind, config, gains(kind, config).model_dump())
-    raise ConfigurationError(
-        f"{kind}: no gains for this rig; hydro study --rig FILE tunes them, or give a file of your own"
-    )
+    return make_controller(kind, config)
 
 
 def load_policy(path: Path, config: TaskConfig, gains: GainsFor, trainer: Trainer | None = None) -> Controller:
@@ -178,9 +170,7 @@ def origin_of_gains(kind: str, config: TaskConfig) -> GainsOrigin:
     """Where the gains of a shipped classical controller come from on a task's rig."""
     if config.plant == PlantParameters():
         return GainsOrigin.TUNED
-    if kind in ANY_RIG:
-        return GainsOrigin.ANY_RIG
-    return GainsOrigin.RIG if kind == "pid" else GainsOrigin.NOWHERE
+    return GainsOrigin.RIG if kind == "pid" else GainsOrigin.ANY_RIG
 
 
 def usual_gains(kind: str) -> Path:

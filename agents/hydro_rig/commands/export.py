@@ -39,7 +39,7 @@ def export(
             help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector, or the path of your "
             "own. Or a controller: "
             "results/study/controllers/NAME of a study on your rig; as shipped: flow_linearising, ppo or "
-            "pid, for any rig; adrc or lqg, for the paper's; a file of gains, weights, or module:attribute.",
+            "pid, for any rig; a file of gains, weights, or module:attribute.",
             show_default=False,
         ),
     ],

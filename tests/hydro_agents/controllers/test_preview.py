@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers.base import ObservationLayout
-from hydro_agents.controllers.preview import Preview, path_weights
+from hydro_agents.controllers.preview import Preview, braked, path_weights
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
@@ -60,3 +60,12 @@ def test_a_preview_tells_the_time_of_the_sample_that_it_shows():
     assert times[0] == pytest.approx((0.004, 0.01, 0.02, 0.04))
     assert times[1] == (0.005, 0.01, 0.02, 0.04)
     assert times[2] == (0.01, 0.01, 0.02, 0.04)
+
+
+def test_braking_is_a_root_and_joins_smoothly():
+    near, small = 2e-3, 1e-9
+    error = np.array([-near / 2, near / 2, near - small, near + small, 8.5 * near])
+    reduced = braked(error, near)
+    np.testing.assert_allclose(reduced[:2], error[:2])
+    assert (reduced[3] - reduced[2]) / (2 * small) == pytest.approx(1.0, rel=1e-3)
+    assert reduced[4] == pytest.approx(4.0 * near)

@@ -13,7 +13,7 @@ def test_it_says_how_small_how_surely_and_when_nothing_can_be_said():
     assert estimator[3:] == ["none", "valve null −1 %"]
     text = Parsed(leakage_page("Leaks", tables, "plain").html()).text
     assert "A leak of 0.2 l/min is found within 2 s of ordinary motion." in text
-    assert "reads no ADRC" in text
+    assert "reads no switch" in text
     plain = tables["detection"][tables["detection"]["condition"] == "plain"]
     for row in findings({**tables, "detection": plain}, ["head", "estimator"], "plain").to_numpy():
         assert row[3:].tolist() == ["none", "none"]

@@ -23,7 +23,7 @@ from hydro_rig.export.controller import controller_code, controller_graph, varia
 from hydro_rig.export.controller_folder import exported_files
 from hydro_rig.export.tracing import TraceError
 
-KINDS = ("pid", "flow_linearising", "adrc", "lqg", "ppo")
+KINDS = ("pid", "flow_linearising", "ppo")
 TASK = TaskConfig(episode_duration=0.6)
 SEED = VALIDATION_SEEDS.start + 710_000
 
