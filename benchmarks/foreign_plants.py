@@ -1,13 +1,12 @@
-"""Controllers, leakage head and diagnosis on axes of Exudyn, a simulator that nobody here wrote.
+"""Controllers on axes of Exudyn, a simulator that nobody here wrote.
 
     pip install "hydro_env[foreign]"
     python -m benchmarks.foreign_plants [--plants slide rigid_crane flexible_crane flexible_crane_told]
-        [--controllers flow_linearising searched pid policy leak] [--output results/foreign_plants]
+        [--controllers flow_linearising searched pid policy] [--output results/foreign_plants]
 
 Rigs come from nameplates alone, as ``hydro new-rig`` makes them; what Exudyn simulates differs from them as usual
-machines do. ``flexible_crane_told`` is the flexible crane whose nameplates name the frequency of its structure.
-``leak``: the leakage head and ``hydro diagnose`` on a recording of flow linearisation. The folder keeps the rows; a
-later call computes what is missing.
+machines do. ``flexible_crane_told`` is the flexible crane whose nameplates name the frequency of its structure. The
+folder keeps the rows; a later call computes what is missing. real_machines.py reads recordings of such axes.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ from benchmarks import command_line
 from benchmarks.any_axis import FIGURES, POLICY, SEARCHED, controllers_on
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.own_loop import OwnLoop
-from hydro_agents.detection.monitor import load_head
 from hydro_agents.evaluation import drawn_rigs
 from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_agents.running.folders import pretrained_folder
@@ -39,14 +37,12 @@ from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
-from hydro_rig.diagnosis.diagnose import diagnose
-from hydro_rig.recordings.simulated import recording_csv
 
-SECONDS, SETTLING, RECORDED, RESTING = 2.0, 0.5, 8.0, 10.0  # of a motion, before it, of a recording, after a step
+SECONDS, SETTLING, RESTING = 2.0, 0.5, 10.0  # of a motion, before it, after a step
 SLOW = {"speed_share": 0.35, "acceleration_limit": 1.0, "step_range": [0.002, 0.005]}  # Exudyn's oil never cavitates
 SEED, GRAVITY = 11, 9.81
-UNTUNED, LEAK = "flow_linearising", "leak"
-CONTROLLERS = {UNTUNED: drawn_rigs.UNTUNED, "searched": SEARCHED, "pid": FIGURES, "policy": POLICY, LEAK: ""}
+UNTUNED = "flow_linearising"
+CONTROLLERS = {UNTUNED: drawn_rigs.UNTUNED, "searched": SEARCHED, "pid": FIGURES, "policy": POLICY}
 LEAKS = (0.01, 1.0)  # l/min at 100 bar: healthy, worn
 
 ROD, BASE = 0.5, 1.0  # m, mounts of the cylinder: along the boom, and straight below its pivot
@@ -237,10 +233,10 @@ def controller_of(name: str, task: TaskConfig) -> Any:
 
 def driven(
     machine: Machine, task: TaskConfig, controller: Any, leak: float, wanted: Floats, seed: int
-) -> tuple[Floats, Floats, Floats, float]:
+) -> tuple[Floats, Floats, float]:
     """Follow a reference (m, one per period) after the axis has settled where it begins.
 
-    Returns true and measured signals in the order of CHANNELS (n, 4), commands (n,), and the error in its sensor, m.
+    Returns the true signals in the order of CHANNELS (n, 4), commands (n,), and the error in its sensor, m.
     """
     loop, draws = OwnLoop(controller, task, si=True), np.random.default_rng(seed)
     fields = ("noise", "bias", "resolution", "low", "high")
@@ -251,7 +247,7 @@ def driven(
     settling, places = round(SETTLING / machine.period), np.array([0, *task.preview_samples])
     path = np.concatenate([np.full(settling, wanted[0]), wanted, np.full(max(places) + 1, wanted[-1])])
     lag = math.exp(-machine.period * math.log(9.0) / max(task.sensors.pressure_rise_time, 1e-9))
-    rows: list[tuple[Floats, Floats, float]] = []
+    rows: list[tuple[Floats, float]] = []
     late = np.zeros(4)
 
     def at_sample(true: Floats) -> float:
@@ -260,12 +256,12 @@ def driven(
         if task.sensors.enabled:
             read = np.clip(np.round((late + bias + noise * draws.normal(size=4)) / steps) * steps, low, high)
         volts = loop.step(path[len(rows) + places], **dict(zip(CHANNELS, map(float, read), strict=True)))
-        rows.append((true, read, volts / FULL_VOLTAGE))
+        rows.append((true, volts / FULL_VOLTAGE))
         return volts / FULL_VOLTAGE
 
     Axis(machine, float(wanted[0]), leak).run((settling + len(wanted)) * machine.period, at_sample)
-    true, read, command = (np.array(column[settling:][: len(wanted)]) for column in zip(*rows, strict=True))
-    return true, read, command, float(np.abs(true[:, 0] + bias[0] - wanted).mean())
+    true, command = (np.array(column[settling:][: len(wanted)]) for column in zip(*rows, strict=True))
+    return true, command, float(np.abs(true[:, 0] + bias[0] - wanted).mean())
 
 
 def references(task: TaskConfig, seconds: float, families: Sequence[str]) -> Floats:
@@ -284,7 +280,7 @@ def control_row(machine: Machine, task: TaskConfig, name: str, leak: float, plai
     runs = [driven(machine, task, controller, leak, one, SEED + number) for number, one in enumerate(wanted)]
     row: dict[str, Any] = {
         "error_um": 1e6 * math.exp(np.mean([math.log(error) for *_, error in runs])),
-        "travel": float(np.mean([np.abs(np.diff(command)).mean() for _, _, command, _ in runs])) / machine.period,
+        "travel": float(np.mean([np.abs(np.diff(command)).mean() for _, command, _ in runs])) / machine.period,
         "failures": sum(bool((np.abs(true[:, 0]) > machine.stroke / 2).any()) for true, *_ in runs),
     }
     if machine.kind == "flexible" and leak == LEAKS[0]:
@@ -296,29 +292,11 @@ def control_row(machine: Machine, task: TaskConfig, name: str, leak: float, plai
     return row
 
 
-def leak_row(machine: Machine, task: TaskConfig, leak: float, plain: TaskConfig, file: Path) -> dict[str, Any]:
-    """Alarms of the leakage head, and the verdict on a recording of flow linearisation."""
-    wanted = references(plain, RECORDED, ["multi_sine"])[0]
-    _, measured, command, _ = driven(machine, task, controller_of(UNTUNED, task), leak, wanted, SEED)
-    acting = np.append(0.0, command[:-1])  # in the row in which it acts
-    signals, head = np.vstack([measured.T, acting]), load_head(None, task)
-    write_text(file, recording_csv(np.arange(len(acting), dtype=np.float64) * machine.period, signals))
-    length = head.settings.window
-    starts = range(0, len(acting) - length + 1, length)
-    found = head.estimate_windows(np.stack([signals[:, start : start + length] for start in starts]))
-    alarms = int((found.probability >= head.settings.threshold).sum())
-    return {"alarms": alarms, "windows": len(starts), "verdict": diagnose(file, task, head).verdict.line()}
-
-
 def row_of(leak: float, name: str, plant: str, folder: Path) -> dict[str, Any]:
     """The row of one case."""
     machine = PLANTS[plant]
     task, plain = task_of(machine, folder, plant), task_of(machine._replace(told={}), folder, machine.kind)
-    if name == LEAK:
-        found = leak_row(machine, task, leak, plain, folder / f"{plant}_{leak:g}.csv")
-    else:
-        found = control_row(machine, task, name, leak, plain)
-    return {"plant": plant, "controller": name, "leak": leak, **found}
+    return {"plant": plant, "controller": name, "leak": leak, **control_row(machine, task, name, leak, plain)}
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:
@@ -332,7 +310,7 @@ def main() -> None:
     """Compute what is missing, and print the tables."""
     output = Path("results/foreign_plants")
     given = command_line(__doc__, plants=PLANTS, controllers=CONTROLLERS, output=output, jobs=1)
-    cases = sorted(itertools.product(LEAKS, CONTROLLERS, PLANTS), key=lambda case: case[1] == LEAK)  # it takes longest
+    cases = list(itertools.product(LEAKS, CONTROLLERS, PLANTS))
     asked = set(itertools.product(LEAKS, given.controllers, given.plants))
     wanted = [number for number, case in enumerate(cases) if case in asked]
 
@@ -340,10 +318,8 @@ def main() -> None:
         return [{"case": number, **row_of(*cases[number], given.output)}]
 
     rows = kept_rows(given.output / "rows.csv", "case", wanted, rows_of, given.jobs).sort_values(["plant", "case"])
-    for table in (summary(rows[rows["controller"] != LEAK]), rows[rows["controller"] == LEAK]):
-        if len(table):
-            shown = table.drop(columns="case").dropna(axis="columns", how="all").round(3).astype(str)
-            print(markdown(tuple(shown), [[str(cell) for cell in row] for row in shown.to_numpy()]), end="\n\n")
+    shown = summary(rows).drop(columns="case").dropna(axis="columns", how="all").round(3).astype(str)
+    print(markdown(tuple(shown), [[str(cell) for cell in row] for row in shown.to_numpy()]))
 
 
 if __name__ == "__main__":
