@@ -13,7 +13,7 @@ SMALL = {
     "detectors": {"D": {"kind": "head", "windows": 10, "validation_windows": 20, "batch": 6}},
     "base": "plain",
     "conditions": {
-        "plain": {"group": "levels", "duration": 0.3, "levels": [0.0, 1.0, -1.0]},
+        "plain": {"group": "levels", "duration": 0.3, "levels": [0.0, 1.0]},
         "null": {"group": "fault", "duration": 0.3, "faults": {"valve_null_shift": 0.02}},
     },
 }
@@ -45,7 +45,7 @@ class Spread:
         return Reading.of(score, np.where(np.abs(spool.mean(axis=1)) > 0.01, Cause.VALVE, Cause.NONE))
 
 
-LEVELS = [0.0, 0.05, 0.1, 0.2, 0.3, 1.0, -1.0]
+LEVELS = [0.0, 0.05, 0.1, 0.2, 0.3, 1.0]
 CONDITIONS = {
     "plain": {"group": "levels", "label": "ordinary motion", "duration": 2.0, "levels": LEVELS},
     "three_step": {"group": "controller", "label": "switch", "acting": "three-step switch", "levels": [0.0, 0.1]},
@@ -62,8 +62,6 @@ def made_up_protocol():
 def cell(detector, condition, level, flagged, factor=1.1, width=0.2, verdict=Cause.NONE, silent=0):
     """Windows of which ``flagged`` are reported; estimates beside the truth by ``factor``, intervals of ± ``width``."""
     leak = np.full(COUNT, level if level > 0.0 else 0.01)
-    if level < 0.0:
-        leak = np.where(np.arange(COUNT) % 2 == 0, 0.01, 1.0)
     reported = np.arange(COUNT) < flagged
     verdicts = np.where(reported, Cause.INTERNAL_LEAK, verdict)
     verdicts[COUNT - silent :] = Cause.UNKNOWN if silent else verdicts[COUNT - silent :]
@@ -78,20 +76,18 @@ def cell(detector, condition, level, flagged, factor=1.1, width=0.2, verdict=Cau
             "leak_lpm": leak,
             "error_mm": 0.1 if condition == "plain" else 0.05,
             "score": np.where(told, reported.astype(float), np.nan),
-            "probability": np.where(leak > 0.03, 0.8, 0.2) if level < 0.0 else np.where(told, 0.5, np.nan),
             "flow_lpm": flow,
             "low_lpm": flow - width * leak,
             "high_lpm": flow + width * leak,
             "flagged": reported,
             "at_1_percent": reported,
             "verdict": verdicts,
-            "leaking": leak > 0.03,
         }
     )
 
 
 def made_up_run():
-    found = {0.0: 1, 0.05: 30, 0.1: 70, 0.2: 98, 0.3: 100, 1.0: 100, -1.0: 50}
+    found = {0.0: 1, 0.05: 30, 0.1: 70, 0.2: 98, 0.3: 100, 1.0: 100}
     frames = [cell(name, "plain", level, hits) for name in ("head", "estimator") for level, hits in found.items()]
     frames += [
         cell("head", "three_step", 0.0, 4),

@@ -13,7 +13,6 @@ SMALL = {
     "plants": 3,
     "chunk": 5,
     "standstill_plants": 0,
-    "worst": 2,
     "conditions": {"plain": {"group": "leak"}, "late": {"task": {"command_latency": 0.004}}},
 }
 

@@ -13,7 +13,6 @@ from command_line import COMMAND, assert_one_clear_line, done, environment, hydr
 
 import hydro_env
 from hydro_agents.commands.application import GROUPS
-from hydro_agents.learning import stable_gain
 from hydro_agents.rigs import check_table
 from hydro_agents.running.folders import output_folder
 
@@ -33,30 +32,6 @@ def test_help_teaches(command):
     assert f"hydro {command}" in answer.stdout
 
 
-def test_simulate_writes_all_quantities_and_a_picture(tmp_path):
-    done("simulate", "--leakage", "1", "--duration", "0.2", "--output", tmp_path / "run")
-    rows = list(csv.reader((tmp_path / "run" / "trajectory.csv").open()))
-    assert rows[0][:3] == ["time [s]", "voltage [V]", "position [m]"]
-    assert len(rows) == 1 + 201
-    assert (tmp_path / "run" / "trajectory.png").read_bytes()[:4] == b"\x89PNG"
-    rig = yaml.safe_load((tmp_path / "run" / "rig.yaml").read_text())
-    assert rig["leakage"]["internal_resistance"] == pytest.approx(6e11)
-
-
-def test_simulate_starts_where_the_rig_can_rest(tmp_path, monkeypatch):
-    """At mid-stroke the leak of this rig takes more than the valve feeds; where the spring bears the load it rests."""
-    (tmp_path / "rig.yaml").write_text("load: {external_force: 5000}\nleakage: {internal_resistance: 2.0e+10}\n")
-    answer = done("simulate", "--rig", tmp_path / "rig.yaml", "--duration", "0.1", "-o", tmp_path / "run")
-    place = float(answer.stdout.splitlines()[0].split()[1])
-    assert place < 0.0
-    at_mid_stroke = hydro("simulate", "--rig", tmp_path / "rig.yaml", "--position", "0", "-o", tmp_path / "2")
-    assert_one_clear_line(at_mid_stroke, "position = 0 m cannot be held")
-    monkeypatch.setattr(stable_gain, "DRAWN", 2)
-    monkeypatch.setattr(stable_gain, "PLANTS", 2)
-    checked = done("check-rig", "--rig", tmp_path / "rig.yaml")
-    assert f"x = {place:+.1f} mm" in checked.stdout
-
-
 FILES = {
     "study.yaml": "controllers: {PID: {kind: pid}}\npdi: {proportional: 1}\n",
     "wrong.yaml": "cylinder: {bore: 0.04}",
@@ -66,13 +41,12 @@ FILES = {
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
-        ("simulate --leakage -1", "--leakage"),
-        ("simulate --position 0.15", "position"),
-        ("simulate --rig absent.yaml", "absent.yaml"),
-        ("simulate --rig wrong.yaml", "did you mean bore_diameter?"),
-        ("simulate --input sinus", "did you mean sine?"),
+        ("record --leakage -1", "leakage"),
+        ("record --rig absent.yaml", "absent.yaml"),
+        ("record --rig wrong.yaml", "did you mean bore_diameter?"),
+        ("record --family sinus", "--family"),
         ("evaluate --agent \x1b[31mPID=pid", "--agent"),
-        (f"simulate --rig {10_000 * 'a'}", "unknown"),
+        (f"record --rig {10_000 * 'a'}", "unknown"),
         ("evaluate --head absent", "--head: belongs to --protocol leakage"),
         ("evaluate --jobs 0", "--jobs"),
         ("study --config study.yaml", "pdi"),
@@ -89,7 +63,7 @@ def test_a_mistake_is_answered_in_one_line_and_leaves_nothing(tmp_path, argument
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
-        ("simulate --voltage abc", "'--voltage'"),
+        ("record --duration abc", "'--duration'"),
         ("train", "hydro train --help"),
         ("train nothing", "ppo, head, pid"),
         ("nothing", "hydro --help"),
@@ -154,13 +128,15 @@ TINY = {
     ("number", "code", "resume", "files", "words"),
     [
         (signal.SIGINT, 130, False, ["checkpoint.json"], "keeps the finished work, --resume continues"),
-        (signal.SIGTERM, 143, None, ["check.csv"], "keeps the finished work, --overwrite begins anew"),
+        (signal.SIGTERM, 143, None, ["check.json"], "keeps the finished work, --overwrite begins anew"),
         (signal.SIGHUP, 129, False, [], "stopped"),
     ],
 )
 def test_a_stopped_command_says_what_it_keeps(tmp_path, monkeypatch, number, code, resume, files, words):
-    def stopped(rig, folder, *_):
-        with output_folder(folder, "check-rig", ["checkpoint.json", "check.csv"], resume=resume):
+    folder = tmp_path / "out"
+
+    def stopped(*_):
+        with output_folder(folder, "check-rig", ["checkpoint.json", "check.json"], resume=resume):
             for name in files:
                 (folder / name).write_text("")
             signal.raise_signal(number)
@@ -170,14 +146,14 @@ def test_a_stopped_command_says_what_it_keeps(tmp_path, monkeypatch, number, cod
     # In the background Ctrl-C is ignored, under nohup the end of the terminal: for the tests as for a command.
     before = signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     try:
-        answer = hydro("check-rig", "-o", tmp_path / "out")
+        answer = hydro("check-rig")
     finally:
         signal.signal(number, before)
     assert answer.returncode == code
     [line] = own_lines(answer.stderr)
     assert line.startswith("hydro: stopped")
     assert words in line
-    assert (tmp_path / "out").exists() == bool(files)
+    assert folder.exists() == bool(files)
 
 
 def test_under_nohup_a_command_outlives_its_terminal(tmp_path, monkeypatch):

@@ -38,8 +38,8 @@ class _Commands(TyperGroup):
 HELP = """A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, detect the leak.
 
 Begin with `hydro study` (the whole job; it soon says how many minutes it takes on your machine), or with
-`hydro simulate --leakage 1` (one run, a few seconds). Leaks are in l/min at 100 bar across the piston, as in practice:
-up to 0.03 is healthy, 1 to 4 is severe."""
+`hydro check-rig` (the figures of an axis, half a minute). Leaks are in l/min at 100 bar across the piston, as in
+practice: up to 0.03 is healthy, 1 to 4 is severe."""
 
 GROUPS = {
     "Controllers": {
@@ -50,7 +50,6 @@ GROUPS = {
     "A rig": {
         "new-rig": "hydro_agents.commands.rig:new_rig",
         "check-rig": "hydro_agents.commands.rig:check_rig",
-        "simulate": "hydro_agents.commands.rig:simulate",
         "record": "hydro_rig.commands.recording:record",
         "identify": "hydro_rig.commands.identify:identify",
         "export": "hydro_rig.commands.export:export",

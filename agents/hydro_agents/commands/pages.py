@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_agents.evaluation.leak_protocol import DRAWN
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results
 from hydro_agents.report.controllers_page import Example, controllers_page
@@ -142,7 +141,7 @@ def leakage_page_of(results: Results) -> Page:
 def shares(results: Results) -> Iterator[Table]:
     """Share of windows that each detector reports under the base condition, by size of the leak."""
     found, base = results.table("detection"), results.protocol.base
-    found = found[(found["condition"] == base) & (found["level"] != DRAWN)]
+    found = found[found["condition"] == base]
     rates = 100.0 * found.pivot(index="detector", columns="level", values="flagged").loc[found["detector"].unique()]
     rates = rates.rename(columns=lambda level: f"{setting(level)} l/min" if level > 0.0 else "healthy")
     yield as_text(rates, f"Windows reported as a leak, %: {base}")

@@ -1,4 +1,4 @@
-"""``hydro new-rig``, ``check-rig`` and ``simulate``: the file of a rig from its nameplates, its figures, one run."""
+"""``hydro new-rig`` and ``check-rig``: the file of a rig from its nameplates, and its figures."""
 
 from __future__ import annotations
 
@@ -12,16 +12,7 @@ from typing import Annotated
 
 import typer
 
-from hydro_agents.commands.options import (
-    Latency,
-    Output,
-    Overwrite,
-    OverwriteFile,
-    Period,
-    Rig,
-    check_new_file,
-    say,
-)
+from hydro_agents.commands.options import Latency, OverwriteFile, Period, Rig, check_new_file, say
 from hydro_agents.rigs.rig_file import QUESTIONS, Question, answers_from, parsed
 from hydro_agents.rigs.rig_file import new_rig as written_rig
 from hydro_env import ConfigurationError
@@ -179,15 +170,7 @@ def _answer(question: Question) -> str:
             return text
 
 
-def check_rig(
-    rig: Rig = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for check.csv; default: no file.")
-    ] = None,
-    overwrite: Overwrite = False,
-    period: Period = None,
-    latency: Latency = None,
-) -> None:
+def check_rig(rig: Rig = None, period: Period = None, latency: Latency = None) -> None:
     """Print the figures that an engineer calculates by hand for a rig, and refuse a rig that cannot work.
 
     The figures are areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional
@@ -196,33 +179,4 @@ def check_rig(
     """
     from hydro_agents.rigs.check_table import check_to_console
 
-    files = check_to_console(rig, output, overwrite, period, latency)
-    if files:
-        say(*files)
-
-
-def simulate(
-    output: Output = Path("results/simulate"),
-    rig: Rig = None,
-    signal: Annotated[
-        str, typer.Option("--input", metavar="step|sine|sweep|stop", help="Shape of the voltage.")
-    ] = "stop",
-    voltage: Annotated[
-        float, typer.Option(min=-10.0, max=10.0, help="Amplitude in V, added to the voltage that holds the start.")
-    ] = 3.0,
-    duration: Annotated[float, typer.Option(min=1e-3, max=3600.0, help="Length in s.")] = 1.0,
-    leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar, instead of the rig's own.")] = None,
-    position: Annotated[
-        float | None,
-        typer.Option(help="Start at rest, in m from mid-stroke; default: mid-stroke if it can be held."),
-    ] = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Run the rig open loop: states, flows and forces as CSV and as a picture.
-
-    `--input stop` moves at constant voltage and then closes the valve: the quick stop of the paper. Compare
-    `--leakage 0.01` with `--leakage 4`: the leak damps the oscillation.
-    """
-    from hydro_agents.rigs.simulation import simulate_to_folder
-
-    say(*simulate_to_folder(output, rig, signal, voltage, duration, leakage, position, overwrite))
+    check_to_console(rig, period, latency)

@@ -90,10 +90,6 @@ class Why(Worded):
     DIFFERS = 9, "the model differs slowly from several signals, which can hide a leak"
 
 
-VERDICTS = tuple(dict.fromkeys(cause.word for cause in Cause))
-"""The words of the verdicts on a window; a window without an answer has the last one, whatever the reason."""
-
-
 def _cause_of_kind(kind: str) -> Cause:
     if kind.startswith("valve_"):
         return Cause.VALVE

@@ -92,7 +92,6 @@ def train_head(
     torch.set_num_threads(1)  # more threads cost more than this small network gains
     began = time.monotonic()
     tell: Progress = progress or (lambda *_: None)
-    start = None if settings.start is None else LeakageHead.load(settings.start)  # a wrong path is told at once
 
     def windows(phase: str, split: str, episodes: int, first_seed: int) -> LabelledWindows:
         jobs = TrainingPlan(config, controllers, settings, split).jobs(episodes, first_seed)
@@ -102,15 +101,10 @@ def train_head(
                 raise ConfigurationError(result.error)
         return LabelledWindows.joined([LabelledWindows(**found[key].metrics) for key in jobs])
 
+    data = windows("data", "training", settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start)
+    validation = windows("validation", "validation", settings.validation_episodes, THRESHOLDS.first)
     record: dict[str, Any] = {"seed": seed, "settings": settings.model_dump(mode="json")}
-    for_limits = "validation", "validation", settings.validation_episodes, THRESHOLDS.first
-    if start is not None:
-        validation = windows(*for_limits)
-        tensors, record["before"] = dict(start.tensors), start.settings.training
-    else:
-        first = HEAD_TRAINING.training(seed, settings.episodes).start
-        data, validation = windows("data", "training", settings.episodes, first), windows(*for_limits)
-        tensors = fitted(data, settings, seed, tell)
+    tensors = fitted(data, settings, seed, tell)
     head = calibrated(tensors, config, settings.longest_window(config), validation, record)
     head.settings.training["seconds"] = round(time.monotonic() - began, 1)
     return head

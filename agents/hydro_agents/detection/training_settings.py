@@ -35,11 +35,6 @@ class HeadTrainingSettings(Group):
     learning_rate: float = Field(3e-3, gt=0.0, le=1.0)
     dropout: float = Field(0.0, ge=0.0, lt=1.0, description="share of hidden units that are left out in training")
     width: int = Field(128, ge=2, le=LARGEST_WIDTH)
-    start: str | None = Field(
-        None,
-        description="weights of a head, a path without its ending: it gets new thresholds and intervals, and is not "
-        "trained",
-    )
 
     def check(self, config: TaskConfig) -> None:
         """Check that the training leaks and the window suit a task.

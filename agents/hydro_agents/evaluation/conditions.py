@@ -83,7 +83,6 @@ class Condition(Surroundings):
 
     group: str = Field("other", description="conditions that belong together in tables and pictures")
     label: str = Field("", description="short text for axes; default: the name")
-    description: str = ""
 
 
 AnyCondition = TypeVar("AnyCondition", bound=Condition)
@@ -94,7 +93,7 @@ class Protocol(Group, Generic[AnyCondition]):
 
     who: ClassVar[str] = "controller"  # what takes part; the name of its column in the tables
     parts: ClassVar[tuple[str, ...]]  # tables of the rows of its jobs, the main one first
-    unchanged: ClassVar[frozenset[str]] = frozenset({"group", "label", "description", "controllers"})
+    unchanged: ClassVar[frozenset[str]] = frozenset({"group", "label", "controllers"})
     """Fields of a condition that change nothing of the axes."""
 
     kind: str

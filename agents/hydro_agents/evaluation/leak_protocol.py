@@ -24,14 +24,13 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
 from hydro_env.units import Number
 
-HEALTHY, DRAWN = 0.0, -1.0
-"""Levels of drawn leaks: from the healthy range of the task, and from all of its ranges with half of the axes
-healthy."""
+HEALTHY = 0.0
+"""Level of leaks that are drawn from the healthy range of the task."""
 
 LEAK_BOUND = "hydro_rig.estimation.information:leak_bound"
 """The Cramér–Rao bound is of the package above this one: it comes by name."""
 
-Level = Annotated[Number, between(DRAWN, LEAKAGE_LIMIT, " l/min")]
+Level = Annotated[Number, between(HEALTHY, LEAKAGE_LIMIT, " l/min")]
 
 
 class LeakCondition(Condition):
@@ -48,7 +47,7 @@ class LeakCondition(Condition):
     )
     duration: float = Field(2.0, gt=0.0, le=60.0, description="s; length of the windows")
     levels: tuple[Level, ...] | None = Field(
-        None, min_length=1, description="l/min at 100 bar; 0: healthy; -1: drawn, half healthy; default: protocol"
+        None, min_length=1, description="l/min at 100 bar; 0: healthy; default: protocol"
     )
     share: float = Field(1.0, gt=0.0, le=10.0, description="windows per level, relative to the detector's number")
     detectors: tuple[str, ...] | None = Field(None, description="detectors that read it; default: all")
@@ -127,13 +126,9 @@ class LeakProtocol(Protocol[LeakCondition]):
         condition, task = self.conditions[name], self.task_in(name)
         ledger = LEAK_THRESHOLDS if validation else LEAKAGE
         seeds, flow = np.array(ledger.take(count)), np.full(count, level)
-        if level in (HEALTHY, DRAWN):
-            healthy = np.arange(count) % 2 == 0
-            if level == HEALTHY:
-                healthy[:] = True
+        if level == HEALTHY:
             share = np.array([np.random.default_rng([int(seed), 11]).random() for seed in seeds])
-            ranges = np.where(healthy[:, None], task.leakage.healthy_range, task.leakage.faulty_range)
-            low, high = np.log(ranges).T
+            low, high = np.log(task.leakage.healthy_range)
             flow = np.exp(low + share * (high - low))
         faults = {fault: np.full(count, size) for fault, size in condition.faults.items()}
         return Cases(seeds, flow, None, condition.parameters_on(task) or None, faults or None)
@@ -145,7 +140,7 @@ class LeakProtocol(Protocol[LeakCondition]):
         return known | {"duration_s": condition.duration, "trained": ACTING[condition.acting].trained}
 
 
-READ = ("score", "probability", "flow_lpm", "low_lpm", "high_lpm")
+READ = ("score", "flow_lpm", "low_lpm", "high_lpm")
 """Columns of a reading, NaN in a window without an answer; besides, ``otherwise`` is its cause."""
 
 

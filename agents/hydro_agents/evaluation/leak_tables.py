@@ -1,4 +1,4 @@
-"""The tables of a leakage protocol: thresholds and verdicts, detection, sizes and intervals, reliability.
+"""The tables of a leakage protocol: thresholds, windows, detection, sizes and intervals.
 
 docs/leakage.md describes their columns.
 """
@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.detector import VERDICTS, Cause, threshold_at_false_alarm_rate
-from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
+from hydro_agents.detection.detector import Cause, threshold_at_false_alarm_rate
+from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.evaluation.runner import Results, table
 from hydro_agents.running.statistics import Interval, share_interval
 
 FALSE_ALARM_RATE = 0.01
 
-BINS = np.linspace(0.0, 1.0, 11)  # edges of the bins of the reliability curve
 SMALLEST_SIZE = 1e-3  # l/min; lower limit of estimates in logarithms
-FAR = 6.0  # error of an unflagged estimate that counts as a local minimum, in standard deviations
 
 SECONDS_PER_HOUR = 3600.0
 
@@ -45,15 +43,14 @@ def windows(results: Results) -> pd.DataFrame:
     read = results.part("windows")
     known = results.table("thresholds")
     chosen = ~read["validation"] & read["detector"].isin(known.loc[known["used"].notna(), "detector"])
-    healthy_bound = results.protocol.task.leakage.class_bounds[0]
-    return judged(read[chosen].drop(columns="validation"), known, healthy_bound)
+    return judged(read[chosen].drop(columns="validation"), known)
 
 
-def judged(windows: pd.DataFrame, thresholds: pd.DataFrame, healthy_bound: float) -> pd.DataFrame:
-    """The windows of runs that did not fail, with four additional columns.
+def judged(windows: pd.DataFrame, thresholds: pd.DataFrame) -> pd.DataFrame:
+    """The windows of runs that did not fail, with three additional columns.
 
-    ``flagged`` (with the threshold in use), ``at_1_percent`` (with the threshold at 1 % false alarms), ``verdict`` (its
-    number), and ``leaking`` (true leak above the bound of a healthy seal, l/min at 100 bar).
+    ``flagged`` (with the threshold in use), ``at_1_percent`` (with the threshold at 1 % false alarms) and ``verdict``
+    (its number).
     """
     windows = windows[windows["failed"] == 0.0]
     known = thresholds.set_index("detector")
@@ -62,8 +59,7 @@ def judged(windows: pd.DataFrame, thresholds: pd.DataFrame, healthy_bound: float
     at_1_percent = score >= thresholds["at_1_percent"].to_numpy()
     verdict = np.where(flagged, float(Cause.INTERNAL_LEAK), windows["otherwise"].to_numpy())
     verdict = np.where(np.isnan(score), float(Cause.UNKNOWN), verdict).astype(int)
-    leaking = windows["leak_lpm"].to_numpy() > healthy_bound
-    return windows.assign(flagged=flagged, at_1_percent=at_1_percent, verdict=verdict, leaking=leaking)
+    return windows.assign(flagged=flagged, at_1_percent=at_1_percent, verdict=verdict)
 
 
 def share(values: Any) -> Interval:
@@ -106,16 +102,6 @@ def detection(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("verdicts")
-def verdicts(results: Results) -> pd.DataFrame:
-    """The confusion table: share of each verdict by detector, condition and leak level."""
-    rows = []
-    for cell, frame in _cells(results):
-        counts = np.bincount(frame["verdict"], minlength=len(VERDICTS)) / len(frame)
-        rows.append(cell | dict(zip(VERDICTS, counts, strict=True)))
-    return pd.DataFrame(rows)
-
-
 @table("sizes")
 def sizes(results: Results) -> pd.DataFrame:
     """Errors of the size and coverage of the 90 % intervals, over windows in which the detector gives an answer."""
@@ -147,35 +133,4 @@ def _errors_of_size(frame: pd.DataFrame, level: float) -> dict[str, Any]:
             row["rms_log10"] = float(np.sqrt(np.mean(decades**2)))
     has = ~np.isnan(low)
     row |= share(((low <= truth) & (truth <= high))[has]).named("coverage")
-    row["unnoticed_minimum"] = np.nan
-    if has.any():
-        deviation = np.maximum((high - low) / (2.0 * 1.645), 1e-4)
-        row["unnoticed_minimum"] = float((np.abs(estimate - truth) > FAR * deviation)[has].mean())
     return row
-
-
-@table("reliability")
-def reliability(results: Results) -> pd.DataFrame:
-    """Probability against frequency of a leak, by detector and condition with drawn leaks, half of them healthy.
-
-    ``error`` is the calibration error of the whole curve: the mean distance of probability and frequency, weighted by
-    the number of windows.
-    """
-    rows: list[dict[str, Any]] = []
-    found = results.table("windows")
-    if found.empty:
-        return found
-    drawn = found[(found["level"] == DRAWN) & found["probability"].notna()]
-    for (detector, condition), frame in drawn.groupby(["detector", "condition"], sort=False):
-        probability = frame["probability"].to_numpy()
-        leaking = frame["leaking"].to_numpy(dtype=bool)
-        place = np.clip(np.digitize(probability, BINS) - 1, 0, len(BINS) - 2)
-        parts, distance = [], 0.0
-        for number in np.unique(place):
-            here = place == number
-            expected, frequency = float(probability[here].mean()), share(leaking[here])
-            distance += abs(expected - frequency.value) * here.mean()
-            part = {"detector": detector, "condition": condition, "probability": expected}
-            parts.append(part | frequency.named("frequency") | {"windows": int(here.sum())})
-        rows += [part | {"error": distance} for part in parts]
-    return pd.DataFrame(rows)

@@ -57,7 +57,6 @@ class Metric(NamedTuple):
 
 _METRICS = (
     Metric("mean_error_mm", "mm", "Mean error", "accuracy: mean of |reference − position|"),
-    Metric("rms_error_mm", "mm", "Root-mean-square error", "root mean square of the error"),
     Metric("peak_error_mm", "mm", "Peak error", "largest error"),
     Metric(
         "settling_time_s",
@@ -105,15 +104,6 @@ _METRICS = (
         "Steady-state error in the frame of the sensor",
         "the steady-state error between reference and reading, without noise",
         ratio="offset",
-    ),
-    Metric("itae_mm_s2", "mm s²", "Time-weighted error (ITAE)", "∫ t |error| dt"),
-    Metric(
-        "control_effort",
-        "1",
-        "Command, root mean square",
-        "root mean square of the limited command, as a fraction of 10 V",
-        shown_unit="V",
-        factor=10.0,
     ),
     Metric(
         "valve_travel_per_s",
@@ -214,7 +204,6 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
     )
     failed, bias = rollout.failed_at[case] >= 0, float(rollout.position_bias[case])
     error = np.asarray(reference, dtype=np.float64) - position
-    time = period * np.arange(1, len(error) + 1)
     settling: list[float] = []
     steady: list[float] = []
     steady_sensor: list[float] = []
@@ -238,7 +227,6 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
 
     return {
         "mean_error_mm": 1e3 * float(np.mean(np.abs(error))),
-        "rms_error_mm": 1e3 * float(np.sqrt(np.mean(error**2))),
         "peak_error_mm": 1e3 * float(np.max(np.abs(error))),
         "settling_time_s": mean(settled),
         "unsettled_share": 1.0 - len(settled) / len(settling) if settling else math.nan,
@@ -247,8 +235,6 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
         "mean_error_sensor_mm": 1e3 * float(np.mean(np.abs(error - bias))),
         "peak_error_sensor_mm": 1e3 * float(np.max(np.abs(error - bias))),
         "steady_state_error_sensor_mm": 1e3 * mean(steady_sensor),
-        "itae_mm_s2": 1e3 * float(np.sum(time * np.abs(error)) * period),
-        "control_effort": float(np.sqrt(np.mean(np.asarray(command, dtype=np.float64) ** 2))),
         "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),
         "reversals_per_s": reversals(command) / (period * len(command)),
         "supply_energy_j": float(np.sum(power, dtype=np.float64)) * period,

@@ -19,9 +19,9 @@ from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.limit_cycles import standstill_metrics, standstill_task
 from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
-from hydro_agents.running.tasks import Factor, between, mappings
+from hydro_agents.running.tasks import between, mappings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
-from hydro_env.files import Group, read_yaml, validate
+from hydro_env.files import Group, read_yaml
 from hydro_env.mistakes import kept, known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.reference_signals import MOVING_FAMILIES
@@ -80,31 +80,10 @@ class PairedCases(Group):
     )
 
 
-class Sweep(Group):
-    """Conditions that each fix one parameter of the plant at a factor of the nominal value."""
-
-    group: str = "parameter"
-    leak_levels: Levels | None = None
-    families: Families | None = None
-    plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY)
-    factors: dict[str, tuple[Factor, ...]] = Field(min_length=1, description="by path of the parameter")
-
-    def conditions(self) -> dict[str, dict[str, Any]]:
-        """One condition per parameter and factor, as a mapping."""
-        shared = self.model_dump(exclude={"factors"}, exclude_none=True)
-        conditions = {}
-        for path, factors in self.factors.items():
-            name = path.split(".")[1]
-            for factor in factors:
-                label = f"{name.replace('_', ' ')} × {factor:g}"
-                conditions[f"{name}_x{factor:g}"] = {**shared, "label": label, "factors": {path: factor}}
-        return conditions
-
-
 class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
     """A protocol of controllers on paired cases; ``configs/protocols`` holds some.
 
-    A plant has the same seed at every leak level and in every condition. The key ``sweep`` of a file adds conditions.
+    A plant has the same seed at every leak level and in every condition.
     """
 
     parts: ClassVar[tuple[str, ...]] = ("cases", "limit_cycles")
@@ -117,7 +96,6 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
         (0.03, 1.0, 8.0),
         description="l/min; search for limit cycles under each condition without its own leak levels",
     )
-    worst: int = Field(10, ge=1, le=1000, description="worst cases that the tables list per controller")
 
     @model_validator(mode="after")
     def _possible(self) -> RobustnessProtocol:
@@ -158,15 +136,8 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
 
     @classmethod
     def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
-        """Add the conditions of a sweep; read the gains of controllers for a condition."""
-        conditions = values.get("conditions")
-        if "sweep" in values and isinstance(conditions, dict):
-            swept = validate(Sweep, values.pop("sweep"), f"{file}: sweep").conditions()
-            twice = next((name for name in swept if name in conditions), None)
-            if twice is not None:
-                raise ConfigurationError(f"{file}: conditions.{twice}: is also in sweep")
-            values["conditions"] = conditions = {**conditions, **swept}
-        for condition in mappings(conditions).values():
+        """Read the gains of controllers for a condition."""
+        for condition in mappings(values.get("conditions")).values():
             chosen: Any = condition.get("controllers")
             for name, what in chosen.items() if isinstance(chosen, dict) else ():
                 if isinstance(what, str) and what.endswith(".yaml"):
@@ -204,8 +175,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
 
     def known_of(self, name: str) -> dict[str, Any]:
         """See :meth:`~hydro_agents.evaluation.conditions.Protocol.known_of`."""
-        known = {"description": self.conditions[name].description}
-        return known | {"control_period_s": self.task_in(name).control_period, "cases": len(self.cases_in(name))}
+        return {"control_period_s": self.task_in(name).control_period, "cases": len(self.cases_in(name))}
 
 
 def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:

@@ -1,4 +1,4 @@
-"""The tables of a protocol of controllers: summary, comparison, ranking, worst cases, rest."""
+"""The tables of a protocol of controllers: summary, comparison, ranking, rest."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.comparison import ALL, Grid, Mask
-from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS, RETURN
+from hydro_agents.evaluation.metrics import COMPARED, METRICS, RETURN
 from hydro_agents.evaluation.runner import FAILED, Results, table
 from hydro_agents.running.limit_cycles import counted
 from hydro_agents.running.seeds import SEED_MARK
@@ -100,7 +100,6 @@ def ranking(results: Results) -> pd.DataFrame:
     if cycles.empty:
         cycles = pd.DataFrame({"controller": [], "limit_cycle": []})
     statuses = results.status[results.status["condition"].isin(list(results.protocol.conditions))]
-    best = cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack().idxmin(axis=1)
     equal = [f"equal_weight{frame}{end}" for frame in ("", "_sensor") for end in ("", "_low", "_high")]
     copied = {name: name for name in (*equal, "worst_ratio", *COMPARED)} | {"mean_ratio": "ratio"}
     figures = {baseline: dict.fromkeys(copied.values(), 1.0)}
@@ -116,7 +115,6 @@ def ranking(results: Results) -> pd.DataFrame:
             {
                 "controller": controller,
                 **{name: figures.get(controller, {}).get(source, np.nan) for name, source in copied.items()},
-                "best_in": int((best == controller).sum()),
                 "conditions": int(own["condition"].nunique()),
                 RETURN: float(own[RETURN].mean()),
                 "failures": int(own["failed"].sum()),
@@ -129,26 +127,6 @@ def ranking(results: Results) -> pd.DataFrame:
     ranked = pd.DataFrame(rows).sort_values("equal_weight", kind="stable", ignore_index=True)
     ranked.insert(0, "rank", np.arange(1, len(ranked) + 1))
     return ranked
-
-
-@table("worst_cases")
-def worst_cases(results: Results) -> pd.DataFrame:
-    """The cases with the largest ratio of errors to the baseline; for the baseline, those with its largest errors."""
-    cases, baseline, count = results.part("cases"), results.grid.controllers[0], results.protocol.worst
-    where = ["condition", "family", "leakage_flow_lpm", "plant", "seed"]
-    base = cases[cases["controller"] == baseline].groupby(where, sort=False)[ERROR].mean().rename("baseline_error_mm")
-    joined = cases.join(base, on=where)
-    joined["ratio"] = joined[ERROR] / joined["baseline_error_mm"]
-    shown = ["controller", "training_seed", "rank", *where, ERROR]
-    shown += ["baseline_error_mm", "ratio", "peak_error_mm", "failed"]
-    frames = []
-    for name in cases["controller"].unique():
-        own = joined[joined["controller"] == name]
-        # A case counts once if several conditions do not change it.
-        order = own.sort_values(ERROR if name == baseline else "ratio", ascending=False, kind="stable")
-        order = order.drop_duplicates(["training_seed", "leakage_flow_lpm", "seed", ERROR]).head(count)
-        frames.append(order.assign(rank=np.arange(1, len(order) + 1))[shown])
-    return pd.concat(frames, ignore_index=True)
 
 
 @table("limit_cycle_summary")

@@ -9,7 +9,6 @@ import pandas as pd
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.kit import (
-    GREY,
     INK,
     Page,
     draw,
@@ -71,9 +70,8 @@ def leakage_page(title: str, tables: Mapping[str, pd.DataFrame], base: str) -> P
         for seal, level in {f"Leak of {SMALL} l/min": SMALL, "Healthy seal": HEALTHY}.items():
             rows = of[of["level"] == level]
             by_condition(page, f"{seal} under {words}", "windows reported as leaking, %", rows, "flagged", names)
-    page.heading("Reliability of probabilities and intervals")
-    reliability(page, tables, names, base)
     if "sizes" in tables:
+        page.heading("Reliability of the intervals")
         sizes = tables["sizes"].assign(label=tables["sizes"]["condition"].map(conditions["label"]))
         label = f"intervals that contain the leak of {SMALL} l/min, %"
         by_condition(page, "Coverage of the 90 % intervals", label, sizes[sizes["level"] == SMALL], "coverage", names)
@@ -163,15 +161,3 @@ def by_condition(page: Page, title: str, unit: str, rows: pd.DataFrame, column: 
         axes = panel(height=height_of(rows["label"].nunique(), len(names)), xlabel=unit)
         draw(axes, rows, "label", column, names, "detector", 100.0, "rows")
         page.figure(axes, title)
-
-
-def reliability(page: Page, tables: Mapping[str, pd.DataFrame], names: Sequence[str], base: str) -> None:
-    """Probability of the detector against the frequency of leaks."""
-    if "reliability" not in tables:
-        return
-    rows = tables["reliability"].query("condition == @base")
-    axes = panel(xlabel="probability of the detector, %", ylabel="windows that leak, %", xlim=(-3, 103), ylim=(-3, 103))
-    axes.axline((0.0, 0.0), slope=1.0, color=GREY, linewidth=0.9)
-    rows = rows.assign(probability=100.0 * rows["probability"])
-    draw(axes, rows, "probability", "frequency", names, "detector", 100.0)
-    page.figure(axes, "Calibration of the probability", "Half of the axes healthy, the others with leaks of all sizes.")

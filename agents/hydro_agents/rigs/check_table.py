@@ -1,4 +1,4 @@
-"""``hydro check-rig``: the figures of a rig on the console and as CSV."""
+"""``hydro check-rig``: the figures of a rig on the console."""
 
 from __future__ import annotations
 
@@ -8,18 +8,16 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pandas as pd
 from rich.padding import Padding
 from rich.table import Table as ConsoleTable
 
 from hydro_agents.learning.stable_gain import DRAWN, beyond_dead_band
 from hydro_agents.rigs.check import BAR, EXAMINED_LEAKS, HELD_NOWHERE, MILLIMETRE, RigFigure, check_rig, leak_text
 from hydro_agents.running.console import PlainConsole, console_table
-from hydro_agents.running.folders import output_folder
 from hydro_agents.running.tasks import timed_task
 from hydro_agents.running.text import Table
 from hydro_env import PlantParameters, TaskConfig
-from hydro_env.files import read_yaml, write_text
+from hydro_env.files import read_yaml
 from hydro_env.plant.analysis import closed_port_natural_frequency, leak_at_test_pressure, speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import PARAMETER_PATHS, PARAMETER_UNITS
@@ -27,7 +25,6 @@ from hydro_env.task.rig import Rig, read_rig
 from hydro_env.task.sensors import SENSORS
 from hydro_env.units import FULL_VOLTAGE
 
-CSV_FILE = "check.csv"
 HEADINGS = ("quantity", "at", "value", "unit")
 PRESSURES = ("pressure_a", "pressure_b")
 WEAK_DAMPING = 0.05  # damping ratio below which an axis rings: after five periods a step still oscillates by a fifth
@@ -121,31 +118,22 @@ def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> dict[str,
     return unset
 
 
-def check_to_console(
-    rig: Path | None, folder: Path | None, overwrite: bool, period: str | None = None, latency: str | None = None
-) -> list[Path]:
-    """Print the table of a rig; write ``check.csv`` into a folder if one is given.
+def check_to_console(rig: Path | None, period: str | None = None, latency: str | None = None) -> None:
+    """Print the table of a rig.
 
     Args:
         rig: its file; ``None`` is the paper's.
-        folder: for the file.
-        overwrite: replace earlier files.
         period: control period with its unit; default: that of the task.
         latency: of the command, the same.
 
     Raises:
-        ConfigurationError: the rig is wrong or cannot work, the timing is impossible, or the folder cannot be used.
+        ConfigurationError: the rig is wrong or cannot work, or the timing is impossible.
     """
     given, name = Rig(PlantParameters(), {}, {}, "rig"), "the rig of Kovari (2015)"
     if rig is not None:
         given, name = read_rig(rig), rig.name
     task = timed_task(None, rig, period, latency, "check-rig")
     rows = [*check_rig(given.plant, given.source, task), *sensor_rows(given, task)]
-    files = []
-    if folder is not None:
-        files = [folder / CSV_FILE]
-        with output_folder(folder, "check-rig", [CSV_FILE], overwrite=overwrite):
-            write_text(files[0], check_csv(rows))
     facts = ConsoleTable(box=None, show_header=False, padding=(0, 2, 0, 0))
     for fact in brief(rows, given.plant):
         facts.add_row(*fact)
@@ -164,7 +152,6 @@ def check_to_console(
     cells = [(row.quantity, row.at, row.text(4), row.unit) for row in rows]
     table = Table("", HEADINGS, cells, breaks=breaks)
     console.print(console_table(table, left=(0, 1, 3)))  # narrow enough for a terminal of 80 columns
-    return files
 
 
 def _short_sensors(task: TaskConfig) -> list[str]:
@@ -192,13 +179,6 @@ def _summary(rig: Rig) -> str:
         if rig.sensors.get(f"sensors.{name}.fitted") is False:
             facts.append(f"no sensor for {name}")
     return ", ".join(facts)
-
-
-def check_csv(rows: list[RigFigure]) -> str:
-    """All figures with nine digits, one per line."""
-    table = pd.DataFrame([row._replace(value=row.text(9)) for row in rows]).drop(columns="key")
-    text: str = table.to_csv(index=False, lineterminator="\n")
-    return text
 
 
 class Plausible(NamedTuple):

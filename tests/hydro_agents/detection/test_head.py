@@ -127,14 +127,6 @@ def test_round_trip(head, tmp_path):
         LeakageHead.load(tmp_path / "head")
 
 
-def test_a_head_to_start_with_gets_new_thresholds_and_keeps_its_network(small_head, tmp_path):
-    small_head.save(tmp_path / "head")
-    judged = trained(settings=SMALL.model_copy(update={"start": str(tmp_path / "head"), "validation_episodes": 20}))
-    for name in ("mean", "whitener", "weight_0", "bias_2"):
-        np.testing.assert_array_equal(judged.tensors[name], small_head.tensors[name])
-    assert not np.array_equal(judged.tensors["thresholds"], small_head.tensors["thresholds"])
-
-
 def test_predict_watches_with_the_signature_of_a_controller(head):
     rows = rows_of(CONFIG.steps + head.interval)
     state, alone = None, None

@@ -119,7 +119,6 @@ def test_a_file_names_its_task_rigs_and_gains_by_path_and_the_digest_follows_all
         ({"conditions": {"a": {"task": {"command_latency": 0.2}}}}, r"conditions\.a: task.*0\.1"),
         ({"conditions": {"all": {}}}, "'all' is the name"),
         ({"leak_levels": [1.0, 1.0]}, "duplicate entry"),
-        ({"sweep": {"factors": {"load.mass": [-1.0]}}}, "sweep"),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(tmp_path, changes, message):

@@ -1,8 +1,8 @@
-"""``hydro check-rig``: the figures are the known ones, the files hold them, wrong rigs get one line."""
+"""``hydro check-rig``: the figures are the known ones, wrong rigs get one line."""
 
 import cmath
-import csv
 import math
+import re
 from unittest import mock
 
 import numpy as np
@@ -19,11 +19,11 @@ from hydro_agents.learning.stable_gain import (
     nominal_loops,
     weakest,
 )
-from hydro_agents.rigs.check import check_rig
+from hydro_agents.rigs.check import check_rig, resting_place
 from hydro_agents.rigs.check_table import brief, implausible
 from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.arrays import equilibrium, plant_coefficients
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parts.valve import edge_openings
 from hydro_env.task.configuration import task_config
@@ -111,14 +111,13 @@ def test_every_circuit_is_checked(changes):
     assert pump == (None if supply.model == "constant" else pytest.approx(supply.pump_flow * 6e4))
 
 
-def test_the_command_prints_and_writes(tmp_path, few):
+def test_the_command_prints_figures_and_warnings(tmp_path, few):
     (tmp_path / "odd.yaml").write_text("valve: {rated_flow: 0.02}")
     for rig in (ROOT / "configs" / "rigs" / "kovari_2015.yaml", tmp_path / "odd.yaml"):
-        result = hydro("check-rig", "--rig", rig, "--output", tmp_path / rig.stem)
+        result = hydro("check-rig", "--rig", rig)
         assert result.returncode == 0, result.stderr
         assert rig.name in result.stdout
         assert "largest stable gain" in result.stdout
-        assert (tmp_path / rig.stem / "check.csv").stat().st_size > 1000
         warnings = [line for line in result.stdout.splitlines() if line.startswith("warning: ")]
         assert len(warnings) == (rig.stem == "odd")
     for file in (ROOT / "configs" / "rigs").glob("*.yaml"):
@@ -148,19 +147,26 @@ def test_the_gain_with_an_overlapped_valve_is_that_beyond_its_dead_band():
     assert "the valve is overlapped, dead within ±2 V" in dict(brief(rows, rig))["verdict"]
 
 
-def test_the_timing_is_that_of_the_options(tmp_path, few, monkeypatch):
+def test_it_examines_a_place_where_the_rig_can_rest():
+    """At mid-stroke the leak of this rig takes more than the valve feeds; where the spring bears the load it rests."""
+    rig = PlantParameters().replace(load={"external_force": 5000.0}, leakage={"internal_resistance": 2e10})
+    with pytest.raises(HydroError, match="cannot be held"):
+        equilibrium(rig, 0.0)
+    place = resting_place(rig)
+    assert place < 0.0
+    equilibrium(rig, place)
+
+
+def test_the_timing_is_that_of_the_options(few, monkeypatch):
     monkeypatch.setattr("hydro_agents.rigs.check.quiet_gains", mock.Mock(side_effect=HydroError("not asked")))
     rig = "symmetric_eha"
-    answer = hydro("check-rig", "--rig", rig, "--period", "1ms", "--latency", "0.5ms", "--output", tmp_path)
+    answer = hydro("check-rig", "--rig", rig, "--period", "1ms", "--latency", "0.5ms")
     assert answer.returncode == 0, answer.stderr
-    rows = {
-        (row["quantity"], row["at"]): row["value"]
-        for row in csv.DictReader((tmp_path / "check.csv").open(encoding="utf-8"))
-    }
-    gain = float(rows["largest stable gain (1 ms, 0.5 ms late)", "mid-stroke, 0.01 l/min"])
+    [row] = re.findall(r"largest stable gain \(1 ms, 0.5 ms late\) +mid-stroke, 0.01 l/min +(\S+)", answer.stdout)
+    gain = float(row)
     plant = leaking(read_rig(rig).plant, 0.01)
     expected, usual = (sampled_loop(plant, 0.0, *at).largest_stable_gain() for at in ((1e-3, 0.5e-3), (5e-3, 1e-3)))
-    assert gain == pytest.approx(expected, rel=1e-6)
+    assert gain == pytest.approx(expected, rel=1e-3)
     assert gain != pytest.approx(usual, rel=0.1)
 
 
