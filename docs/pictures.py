@@ -65,7 +65,7 @@ def controllers() -> None:
     """Error of each controller over that of the PID under all conditions of the robustness protocol."""
     table = pd.read_csv(TABLES / "robustness.csv", skiprows=1).assign(of="")
     axes = panel(height=2.6, xlabel="error over the PID's", xlim=(0.0, 1.1))
-    draw(axes, table, "controller", "equal_weight", [""], "of", kind="rows")
+    draw(axes, table, "controller", "equal_weight", [""], "of")
     axes.axvline(1.0, color=GREY, linewidth=1.0)
     save("chart_controllers.svg", axes)
 

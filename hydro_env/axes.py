@@ -309,11 +309,6 @@ class Axes:
         """A view of one field of ``record``, shape (N,), or (N, entries)."""
         return self.record[name]
 
-    def leakage_class(self, flow_lpm: Floats) -> Indices:
-        """Class label (index into LEAKAGE_CLASSES) of leaks in l/min at 100 bar; ``record`` holds the present label."""
-        exceeded: Indices = (flow_lpm[:, None] > self._task["class_limits"][0]).sum(axis=1)
-        return exceeded
-
     def faults(self) -> dict[str, Floats]:
         """Present magnitude of each fault that any axis has, by name; (N,) each, 0 for none."""
         if not self.column("faulty").any():

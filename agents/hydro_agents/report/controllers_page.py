@@ -254,7 +254,7 @@ def by_kind(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
         page.heading("By kind of reference")
         rows = rows.assign(value=rows["value"].replace(FAMILY_NAMES))
         axes = panel(height=height_of(rows["value"].nunique(), len(names)), xlabel=f"error ÷ error of {names[0]}")
-        draw(axes, rows, "value", "ratio", names, kind="rows")
+        draw(axes, rows, "value", "ratio", names)
         axes.axvline(1.0, color=INK, linewidth=1.0)
         axes.set_xlim(left=0.0)
         page.figure(axes, "Ratio of errors by kind of reference")

@@ -291,24 +291,22 @@ def draw(
     names: Sequence[str],
     by: str = "controller",
     factor: float = 1.0,
-    kind: str = "line",
 ) -> None:
     """Draw a column with its interval over another one, for each participant.
 
     Args:
         axes: the panel.
         table: columns ``over``, ``value``, ``by``; VALUE_low and VALUE_high, if there is an interval.
-        over: a column of numbers, or of texts, which become categories.
+        over: a column of numbers, over which lines run; or of texts, each of which gets a row, from top to bottom.
         value: the column to draw.
         names: the participants, the same in all figures of a page: each keeps its colour and marker.
         by: column of the participants.
         factor: from the unit of the table to that of the figure.
-        kind: line; points; rows: a row for each category, from top to bottom.
     """
     labels = list(dict.fromkeys(table[over]))
-    categories = bool(labels) and isinstance(labels[0], str)
+    in_rows = bool(labels) and isinstance(labels[0], str)
     apart = 2.0  # points, so that no interval covers another one
-    if categories:
+    if in_rows:
         apart, table = 7.0, table.assign(**{over: table[over].map(labels.index)})
     scale = figure_of(axes).dpi_scale_trans
     for index, name in enumerate(names):
@@ -321,21 +319,16 @@ def draw(
         style: dict[str, Any] = {"label": name}
         if own.empty:
             style["label"] = "_none"
-        if kind != "line":
-            style["linestyle"] = "none"
-        if kind == "rows":
-            made, moved = axes.errorbar(middle, places, xerr=lengths, **style), (0.0, -shift)
+        if in_rows:
+            made, moved = axes.errorbar(middle, places, xerr=lengths, linestyle="none", **style), (0.0, -shift)
         else:
             made, moved = axes.errorbar(places, middle, yerr=lengths, **style), (shift, 0.0)
         for artist in made.get_children():
             artist.set_transform(axes.transData + ScaledTranslation(*moved, scale))
-    if categories and kind == "rows":
+    if in_rows:
         axes.set_yticks(range(len(labels)), labels)
         axes.set_ylim(len(labels) - 0.4, -0.6)
         axes.grid(visible=False, axis="y")
-    elif categories:
-        axes.set_xticks(range(len(labels)), labels)
-        axes.grid(visible=False, axis="x")
 
 
 def height_of(categories: int, names: int) -> float:

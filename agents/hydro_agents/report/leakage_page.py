@@ -159,5 +159,5 @@ def by_condition(page: Page, title: str, unit: str, rows: pd.DataFrame, column: 
     rows = rows.dropna(subset=[column])
     if len(rows):
         axes = panel(height=height_of(rows["label"].nunique(), len(names)), xlabel=unit)
-        draw(axes, rows, "label", column, names, "detector", 100.0, "rows")
+        draw(axes, rows, "label", column, names, "detector", 100.0)
         page.figure(axes, title)

@@ -100,7 +100,7 @@ def test_a_figure_shows_the_table_and_a_participant_keeps_its_colour():
     np.testing.assert_allclose([part[:, 1] for part in bars.get_segments()], [[4.0, 6.0], [9.0, 11.0]])
     assert line.get_color() == GREEN
     rows = panel()
-    draw(rows, TABLE.assign(leak=["b", "a", "b", "a"]), "leak", "error", ["PID", ODD_NAME], kind="rows")
+    draw(rows, TABLE.assign(leak=["b", "a", "b", "a"]), "leak", "error", ["PID", ODD_NAME])
     assert [text.get_text() for text in rows.get_yticklabels()] == ["b", "a"]
     np.testing.assert_array_equal(rows.containers[0].lines[0].get_xydata(), [[0.5, 0.0], [1.0, 1.0]])
     assert rows.containers[0].lines[0].get_color() == BLUE
