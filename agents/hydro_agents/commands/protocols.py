@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from hydro_agents.commands.options import command_line, working_in
 from hydro_agents.commands.pages import PageOf
-from hydro_agents.evaluation.conditions import Protocol, file_sha256
+from hydro_agents.evaluation.conditions import Protocol
 from hydro_agents.evaluation.runner import run
 from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.machine import date_now, machine_description, package_versions
@@ -64,7 +64,7 @@ def run_protocol(protocol: Protocol[Any], chosen: Any, options: Options, page: P
     """
     output, file, facts = options.output, "evaluation.yaml", facts_of()
     if options.file is not None:
-        file, facts = "protocol.yaml", facts_of(file=str(options.file), file_sha256=file_sha256(options.file))
+        file, facts = "protocol.yaml", facts_of(file=str(options.file))
     writes = [file, RESULT_FILES, *page.files]
     with working_in(output, "evaluate", writes, options.resume, options.overwrite) as display:
         write_yaml(output / file, settings.model_dump(mode="json"))

@@ -23,7 +23,7 @@ from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.jobs import Job
 from hydro_agents.running.tasks import Surroundings, mappings, read_task
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group, read_text, read_yaml, validate
+from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.mistakes import kept, refuse, unknown
 
@@ -189,13 +189,3 @@ class Protocol(Group, Generic[AnyCondition]):
         """SHA-256 of the whole protocol, including all files that it names, as sorted JSON."""
         text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a text file, as ``sha256sum`` prints it for a file of UTF-8 text.
-
-    Raises:
-        ConfigurationError: the file cannot be read.
-    """
-    read_text(path)
-    return hashlib.sha256(path.read_bytes()).hexdigest()

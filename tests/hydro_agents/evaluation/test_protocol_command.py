@@ -44,7 +44,7 @@ def test_own_agents_and_training_seeds_stand_in_every_table(place):
     assert set(cases.loc[cases["controller"] == "calm", "training_seed"]) == {0, 1}
     assert set(pd.read_csv(tables / "comparison.csv")["group"]) == {"all", "condition", "family"}
     facts = pd.read_csv(tables / "protocol.csv").set_index("key")["value"]
-    assert len(facts["file_sha256"]) == 64
+    assert len(facts["sha256"]) == 64
     assert facts["command"].startswith("hydro evaluate --protocol own.yaml")
     assert "calm" in answer.stdout
     assert (place / "results" / "own" / "robustness.html").is_file()
