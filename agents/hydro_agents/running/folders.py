@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from filelock import FileLock, Timeout
-
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_json, write_whole
 
-MANIFEST_FILE, LOCK_FILE = ".hydro.json", ".hydro.lock"
-_NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)  # of network file systems
+MANIFEST_FILE = ".hydro.json"
 
 
 def pretrained_folder() -> Path:
@@ -42,8 +38,8 @@ def output_folder(
 ) -> Iterator[Path]:
     """Claim a folder for the files of a command; the command never replaces a file that it did not write.
 
-    The folder's manifest (``.hydro.json``) lists the files of each command. While the block runs, no other process can
-    claim the folder. A block that writes nothing leaves nothing behind.
+    The folder's manifest (``.hydro.json``) lists the files of each command. A block that writes nothing leaves nothing
+    behind. Two commands should not write into one folder at a time.
 
     Args:
         folder: for the results; created if it does not exist.
@@ -56,8 +52,8 @@ def output_folder(
         The folder.
 
     Raises:
-        ConfigurationError: the folder cannot be written, is in use by another process, holds results and neither
-            ``resume`` nor ``overwrite`` is set, or holds a file with one of these names that the command did not write.
+        ConfigurationError: the folder cannot be written, holds results and neither ``resume`` nor ``overwrite`` is
+            set, or holds a file with one of these names that the command did not write.
     """
     if resume and overwrite:
         raise ConfigurationError("--resume and --overwrite exclude each other")
@@ -67,7 +63,7 @@ def output_folder(
     except OSError as error:
         raise ConfigurationError(f"{folder}: cannot be written: {error.strerror}") from None
     try:
-        with _locked(folder), _listed(folder, job, writes, resume, overwrite):
+        with _listed(folder, job, writes, resume, overwrite):
             yield folder
     except KeyboardInterrupt as stop:
         if _present(folder, writes):
@@ -89,25 +85,6 @@ def refuse_taken(folder: Path, job: str, writes: Sequence[str], overwrite: bool)
     if not overwrite:
         with output_folder(folder, job, writes):
             pass
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder: an empty file, which is removed at the end. A killed process leaves it, unlocked."""
-    lock = FileLock(folder / LOCK_FILE, blocking=False, fallback_to_soft=False)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise ConfigurationError(f"{folder}: another hydro command is writing here; choose another --output") from None
-    except OSError as error:
-        if error.errno not in _NO_LOCKS:
-            raise ConfigurationError(f"{folder}: cannot be written: {error.strerror}") from None
-    try:
-        yield
-    finally:
-        with suppress(OSError):  # Windows removes no open file
-            (folder / LOCK_FILE).unlink()
-        lock.release()
 
 
 @contextmanager
