@@ -40,7 +40,7 @@ def summary():
         for condition in ("all", *(condition for condition, *_ in CONDITIONS)):
             for metric, mean in means.items():
                 row = {"controller": name, **part(condition), "metric": metric, "mean": mean - 0.01 * number}
-                rows.append(row | {"mean_low": 0.9 * mean, "mean_high": 1.1 * mean, "worst": 1.5})
+                rows.append(row | {"mean_low": 0.9 * mean, "mean_high": 1.1 * mean})
     return pd.DataFrame(rows)
 
 

@@ -88,10 +88,6 @@ class Grid:
         self._plant_weights = plant_weights(self.family)
         self._made: dict[tuple[str, str], Floats] = {}
 
-    def cases(self, controller: str, plants: Mask, situations: Mask) -> pd.DataFrame:
-        """The cases of a controller on some plants and situations."""
-        return self._cases[self._of[controller] & plants[self._plant] & situations[self._situation]]
-
     def values(self, controller: str, metric: str) -> Floats:
         """A metric of a controller, (S, U, K)."""
         if (controller, metric) not in self._made:

@@ -46,7 +46,6 @@ class Metric(NamedTuple):
     shown_unit: str = ""  # on pages, with the factor; default: the unit
     factor: float = 1.0
     cost: bool = False  # stands beside every error: an error is no result without its price
-    more_is_better: bool = False
     ratio: str = ""  # short name; tables compare its mean with the baseline's in the column NAME_ratio
 
     @property
@@ -131,7 +130,7 @@ _METRICS = (
         cost=True,
         ratio="energy",
     ),
-    Metric(RETURN, "1", "Return", "sum of the task's rewards in the episode; at most 0", more_is_better=True),
+    Metric(RETURN, "1", "Return", "sum of the task's rewards in the episode; at most 0"),
     Metric("failed", "1", "Failed runs", "1 if the axis failed", shown_unit="%", factor=100.0, cost=True),
 )
 

@@ -29,16 +29,14 @@ def parts_of(results: Results) -> Iterator[tuple[str, str, Mask, Mask]]:
 
 @table("summary")
 def summary(results: Results) -> pd.DataFrame:
-    """Every metric per controller, over all cases and in parts: mean with its interval, and the worst case."""
+    """Every metric per controller, over all cases and in parts: mean with its interval."""
     grid, rows = results.grid, []
     for controller in grid.controllers:
         for group, value, *part in parts_of(results):
-            own = grid.cases(controller, *part)
             for metric, about in METRICS.items():
                 chosen = grid.sample(controller, metric, *part)
                 if not chosen.plants:
                     continue
-                worst = own.loc[own[metric].idxmin() if about.more_is_better else own[metric].idxmax()]
                 rows.append(
                     {
                         "controller": controller,
@@ -47,10 +45,6 @@ def summary(results: Results) -> pd.DataFrame:
                         "metric": metric,
                         "unit": about.unit,
                         **interval(chosen.mean, chosen.plants).named("mean"),
-                        "worst": float(worst[metric]),
-                        "worst_seed": int(worst["seed"]),
-                        "worst_family": worst["family"],
-                        "worst_leakage_flow_lpm": worst["leakage_flow_lpm"],
                         "cases": int((~np.isnan(chosen.values)).sum()),
                         "training_seeds": len(chosen.values),
                     }

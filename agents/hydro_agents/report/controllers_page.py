@@ -147,12 +147,11 @@ def errors(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
 
 
 def overview(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """One row per controller over all runs: errors, ratios to the first one, worst runs, costs, limit cycles."""
+    """One row per controller over all runs: errors, ratios to the first one, costs, limit cycles."""
     names, rows = names_of(tables), rows_of(tables, "summary", ALL)
     means = rows.pivot(index="controller", columns="metric", values="mean").reindex(names)
-    worst = rows[rows["metric"] == ERROR].set_index("controller")["worst"].reindex(names)
     ratios = rows_of(tables, "comparison", ALL).set_index("controller").reindex(names)
-    frame = {("error", "mean, mm"): means[ERROR], ("error", "worst run, mm"): worst}
+    frame = {("error", "mean, mm"): means[ERROR]}
     if len(names) > 1:
         for name, column in ratios_of(ratios).items():
             frame[f"error ÷ {names[0]}'s", name] = column
