@@ -37,10 +37,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 62_900,
-    "hydro_agents": 105_600,
+    "hydro_env": 62_800,
+    "hydro_agents": 104_600,
     "hydro_rig": 111_600,
-    "tests": 174_000,
+    "tests": 173_600,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 
