@@ -22,7 +22,7 @@ MEASURED = (*SENSORS, "command")  # names of the signals in a file, in the order
 LOAD_PRESSURE = "load_pressure"
 
 ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_position"}
-"""Other accepted headings; ``hydro simulate`` writes ``voltage``."""
+"""Other accepted headings; ``Trajectory.to_dataframe`` writes ``voltage``."""
 
 _HEADING = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\[\]()]*)[\])])?\s*")
 _PARTS = {"V": 1.0 / FULL_VOLTAGE, "%": 1e-2, "1": 1.0, "-": 1.0, "mV": 1e-3 / FULL_VOLTAGE}
