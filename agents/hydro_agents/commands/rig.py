@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from collections.abc import Sequence
 from itertools import groupby
@@ -17,23 +18,43 @@ from hydro_agents.rigs.rig_file import new_rig as written_rig
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
 
+FLEET_FILE = "fleet.yaml"
+
 
 def new_rig(
     figures: Annotated[
         list[str] | None,
         typer.Argument(metavar="NAME=VALUE...", help="Figures with their unit, such as bore=63mm 'mass=200 kg'."),
     ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="YAML file to write.")] = Path("my_rig.yaml"),
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="CSV of a fleet, a row per axis: column `axis`, and figures such as `bore [mm]`."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="YAML file, or with --table folder, to write. Default: my_rig.yaml, fleet."
+        ),
+    ] = None,
     overwrite: OverwriteFile = False,
 ) -> None:
     """Write the file of your rig from its nameplates, data sheets and drawings.
 
     Give figures with their unit: `bore=63mm`. If a required figure is missing, the command asks on a terminal;
     Enter skips what you do not know. The file marks every value as given, computed or assumed, and holds a range for
-    every uncertain one. Check it next with `hydro check-rig`.
+    every uncertain one. Check it next with `hydro check-rig`. `--table` writes the files of many rigs and the
+    `fleet.yaml` that `hydro watch` and `hydro trend` read, and says what each axis lacks.
     """
     from hydro_env.files import write_text
 
+    if table is not None:
+        if figures:
+            raise ConfigurationError("--table FILE: holds the figures of all axes; give none beside it")
+        _write_fleet(table, output or Path("fleet"), overwrite)
+        return
+    output = output or Path("my_rig.yaml")
     check_new_file(output, overwrite)
     given = _named_figures(figures or [])
     required = {question.key for question in QUESTIONS if question.required}
@@ -54,6 +75,41 @@ def new_rig(
         f"{output}: {len(given)} values given, ranges for {len(rig.randomisation)} uncertain ones",
         f"next: hydro check-rig --rig {output}",
     )
+
+
+def _write_fleet(table: Path, folder: Path, overwrite: bool) -> None:
+    """Write the rigs of a table of nameplates, and the file that names them.
+
+    Raises:
+        ConfigurationError: the table is none, a file would be replaced, or axes lack figures; the others are written.
+    """
+    from hydro_agents.rigs.rig_table import figures_of_table
+    from hydro_env.files import write_text, write_yaml
+
+    axes, others = figures_of_table(table)
+    files = {axis: re.sub(r"[^\w-]+", "_", axis) + ".yaml" for axis in axes}
+    if len({*files.values(), FLEET_FILE}) <= len(files):
+        raise ConfigurationError(f"{table}: two axes, or one and {FLEET_FILE}, would have files of the same name")
+    for file in (*files.values(), FLEET_FILE):
+        check_new_file(folder / file, overwrite)
+    if others:
+        say(f"columns that are no figures: {', '.join(others)}")
+    written, lacking = {}, 0
+    for axis, texts in axes.items():
+        try:
+            text, rig = written_rig(answers_from(texts), files[axis])
+        except ConfigurationError as error:
+            lacking += 1
+            say(f"{axis}: not written: {str(error).removeprefix('new-rig: ')}")
+            continue
+        write_text(folder / files[axis], text)
+        written[axis] = {"rig": files[axis]}
+        say(f"{axis}: {folder / files[axis]}: {len(texts)} values given, ranges for {len(rig.randomisation)}")
+    if written:
+        write_yaml(folder / FLEET_FILE, {"axes": written})
+        say(f"next: hydro trend RECORDINGS --fleet {folder / FLEET_FILE}")
+    if lacking:
+        raise ConfigurationError(f"{table}: {lacking} of {len(axes)} axes have no file; complete their rows")
 
 
 def _all_figures() -> str:

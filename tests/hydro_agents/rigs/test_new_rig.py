@@ -213,3 +213,22 @@ def test_on_a_terminal_it_asks_again_until_it_can_read_the_answer(tmp_path):
     assert shown.count("Diameter of the bore. (required, such as 63 mm)") == 2
     assert read_rig(file).plant.cylinder.bore_diameter == 0.063
     assert read_rig(file).sensors == {"sensors.spool_position.fitted": False}
+
+
+def test_a_table_of_nameplates_becomes_files_of_rigs_and_says_what_lacks(tmp_path):
+    (tmp_path / "plates.csv").write_text(
+        "axis;bore [mm];rod [mm];stroke [mm];rated-flow [l/min];supply pressure [bar];mass [kg];place\n"
+        "press;50,5;28;400;40;16 MPa;100;hall 1\n"
+        "lift;50;28;400;;160;100;hall 2\n",
+        encoding="utf-16",
+    )
+    answer = hydro("new-rig", "--table", tmp_path / "plates.csv", "-o", tmp_path / "rigs")
+    assert answer.returncode == 2
+    assert "lift: not written: rated-flow" in answer.stdout
+    assert "place" in answer.stdout
+    assert {path.name for path in (tmp_path / "rigs").iterdir()} == {"press.yaml", "fleet.yaml"}
+    assert yaml.safe_load((tmp_path / "rigs" / "fleet.yaml").read_text()) == {"axes": {"press": {"rig": "press.yaml"}}}
+    rig = read_rig(tmp_path / "rigs" / "press.yaml")
+    assert rig.plant.cylinder.bore_diameter == pytest.approx(0.0505)
+    assert rig.plant.supply.pressure == pytest.approx(160e5)
+    assert_one_clear_line(hydro("new-rig", "--table", tmp_path / "plates.csv", "-o", tmp_path / "rigs"), "exists")

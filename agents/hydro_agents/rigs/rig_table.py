@@ -1,0 +1,53 @@
+"""Rigs from a table of nameplates: a row per axis, a column per figure."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+from hydro_agents.rigs.rig_file import QUESTIONS
+from hydro_env import ConfigurationError
+from hydro_env.files import read_text
+
+AXIS = "axis"
+_HEADING = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*")  # bore [mm]
+_DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
+
+
+def figures_of_table(path: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
+    """The answers of each axis by the keys of the questions, and the headings that are no question.
+
+    A column ``axis`` names the axes; a heading may hold a unit, ``bore [mm]``. An empty cell is no answer.
+
+    Raises:
+        ConfigurationError: the file is no such table, or names an axis twice.
+    """
+    text = read_text(path)
+    rows = [row for row in csv.reader(text.splitlines(), delimiter=max(";\t,", key=text.count)) if any(row)]
+    keys = {question.name: question.key for question in QUESTIONS}
+    columns, others = {}, []  # key and unit of a figure by place
+    for place, heading in enumerate(rows[0] if rows else []):
+        match = _HEADING.fullmatch(heading)
+        name, unit = (match[1], match[2]) if match else (heading, None)
+        name = re.sub(r"[\s_]+", "-", name.lower())
+        if name == AXIS or name in keys:
+            columns[place] = keys.get(name, AXIS), unit or ""
+        else:
+            others.append(heading.strip())
+    if AXIS not in [key for key, _ in columns.values()]:
+        raise ConfigurationError(f"{path}: no column has the heading '{AXIS}'")
+    axes: dict[str, dict[str, str]] = {}
+    for row in rows[1:]:
+        answers = {}
+        for place, (key, unit) in columns.items():
+            cell = _DECIMAL_COMMA.sub(".", row[place].strip()) if place < len(row) else ""
+            if cell:
+                answers[key] = f"{cell} {unit}" if unit and cell[-1].isdigit() else cell
+        name = answers.pop(AXIS, "")
+        if not name or name in axes:
+            raise ConfigurationError(
+                f"{path}: row {len(axes) + 2}: axis '{name[:60]}': each row needs a name of its own"
+            )
+        axes[name] = answers
+    return axes, others
