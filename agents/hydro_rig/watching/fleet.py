@@ -1,6 +1,6 @@
 """The axes of a fleet: the rig, the map of the columns, the oil and the limit of each, from one YAML file.
 
-``hydro trend`` and ``hydro watch`` read the same file.
+``hydro trend`` and ``hydro watch`` read the same file; ``hydro new-rig --table`` writes one beside its rigs.
 """
 
 from __future__ import annotations
