@@ -18,9 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import command_line
-from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.loading import shipped
-from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import DIAGNOSIS
 from hydro_env import TaskConfig
 from hydro_rig.diagnosis.diagnose import diagnose
@@ -58,13 +56,13 @@ AXES = (
 )
 
 
-def diagnosed(axis: Axis, seeds: range, head: LeakageHead, folder: Path) -> list[Verdict]:
+def diagnosed(axis: Axis, seeds: range, folder: Path) -> list[Verdict]:
     """The verdict on one recording per seed."""
     controller, file = shipped("pid", axis.task), folder / "axis.csv"
     found = []
     for seed in seeds:
         record_axis(file, axis.task, controller, seed, axis.leak, faults=axis.faults)
-        found.append(diagnose(file, TASK, head).verdict)
+        found.append(diagnose(file, TASK).verdict)
     return found
 
 
@@ -84,14 +82,14 @@ def row(axis: Axis, found: list[Verdict]) -> str:
 def main() -> None:
     """Print the table."""
     given = command_line(__doc__, share=1.0)
-    head, skip = LeakageHead.load(pretrained_folder() / "leakage_head"), 0
+    skip = 0
     print(
         "| axis | recordings | verdicts | size error, median | interval holds |\n|---|---:|---|---:|---:|", flush=True
     )
     with tempfile.TemporaryDirectory() as folder:
         for axis in AXES:
             seeds = DIAGNOSIS.take(max(round(given.share * axis.recordings), 1), skip)
-            print(row(axis, diagnosed(axis, seeds, head, Path(folder))), flush=True)
+            print(row(axis, diagnosed(axis, seeds, Path(folder))), flush=True)
             skip += axis.recordings
 
 

@@ -19,10 +19,10 @@ import pandas as pd
 
 from benchmarks import command_line
 from benchmarks.kept_rows import kept_rows
-from hydro_agents.detection.monitor import load_head
 from hydro_agents.learning.loading import shipped
 from hydro_env import HydroError, TaskConfig
-from hydro_rig.diagnosis.diagnose import Diagnosis, diagnose
+from hydro_rig.diagnosis.diagnose import diagnose
+from hydro_rig.diagnosis.pipeline import Diagnosis
 from hydro_rig.diagnosis.verdict import Kind, Leak, Limits
 from hydro_rig.estimation.estimator import WEAR
 from hydro_rig.recordings.findings import Weight
@@ -114,7 +114,7 @@ def causes_of(diagnosis: Diagnosis) -> frozenset[str]:
 def answer_of(file: Path) -> Answer:
     """The answer of the command."""
     try:
-        diagnosis = diagnose(file, TASK, load_head(None, TASK))
+        diagnosis = diagnose(file, TASK)
     except HydroError as error:
         return Answer("refused", text=str(error))
     except Exception:

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks import command_line
-from hydro_agents.detection.monitor import load_head
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.text import markdown
 from hydro_env import HydroError, TaskConfig
@@ -133,7 +132,7 @@ def refusals(given: Namespace) -> None:
                         known = read_rig(config_file("rigs", Path(rig)))
                         answer = identify([path], config, known, [map_of(entries)]).verdict()
                     else:
-                        answer = diagnose(path, config, load_head(None, config), map_of(entries)).verdict.line()
+                        answer = diagnose(path, config, map_of(entries)).verdict.line()
                 except HydroError as error:
                     answer = str(error).replace(f"{path}: ", "").split("; headings")[0]
                 print(f"| {path.parts[-2]}/{path.name} | {command} | {answer} |", flush=True)
@@ -147,7 +146,7 @@ def simulators(given: Namespace) -> None:
         for path in sorted((given.folder / name).glob("*.csv")):
             rig, task = (given.folder / name / f"{one}.yaml" for one in plants[path.name[:2]].split())
             config, leak = task_config(task, rig=rig), float(path.stem.split("_")[-2])
-            found = diagnose(path, config, load_head(None, config)).verdict
+            found = diagnose(path, config).verdict
             outcome = judged(found, leak, Limits.of(config))
             count[outcome] += 1
             read = found.leak.text().split(" l/min")[0] if found.leak else ""

@@ -19,7 +19,6 @@ from time import process_time
 from hydro_env import TaskConfig
 from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.watching.fleet import Axis, Fleet
-from hydro_rig.watching.rows import RowReader
 from hydro_rig.watching.stream import FleetWatch
 
 PARTS = 4
@@ -57,12 +56,12 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         fleet = FleetWatch(Fleet(Axis(TaskConfig(), None, Oil.of("46"), LIMIT)), Path(folder) / "watch.csv")
-        list(fleet.looks(lines_of(arguments.recording, min(arguments.axes, 2), 0.0, 30.0), RowReader()))  # compiles
+        list(fleet.looks(lines_of(arguments.recording, min(arguments.axes, 2), 0.0, 30.0)))  # compiles
         before, part = memory(), 60.0 * arguments.minutes / PARTS
         for number in range(PARTS):
             begin, states = process_time(), set()
             lines = lines_of(arguments.recording, arguments.axes, 30.0 + number * part, 30.0 + (number + 1) * part)
-            for look in fleet.looks(lines, RowReader()):
+            for look in fleet.looks(lines):
                 states.add(str(look.condition))
             spent = process_time() - begin
             print(

@@ -1,8 +1,7 @@
 """What a leak detector is: it reads windows of measured signals and gives one reading for each.
 
 A detector is any object with ``threshold``, ``refuses`` and ``read`` (:class:`Detector`). The leakage protocol
-takes any detector through this interface, and ``hydro diagnose --detector`` one beside its estimator. A detector of
-your own::
+takes any detector through this interface. A detector of your own::
 
     class PressureDrop:
         threshold = None  # the leakage protocol computes it

@@ -46,15 +46,6 @@ def diagnose(
     columns: Columns = None,
     task: OwnTask = None,
     rig: Rig = None,
-    detector: Annotated[
-        str | None,
-        typer.Option(
-            "--detector",
-            "--head",
-            metavar="WEIGHTS|MODULE:ATTRIBUTE",
-            help="Detector beside the estimator: weights of a leakage head, or your own; default: the shipped head.",
-        ),
-    ] = None,
     window: Annotated[float, typer.Option(min=0.2, max=60.0, help="Length of one reading in s.")] = 2.0,
     windows: Annotated[int, typer.Option(min=1, help="Readings of a long recording, spread over it.")] = 60,
     before: Annotated[
@@ -68,19 +59,19 @@ def diagnose(
 ) -> None:
     """Judge a recording: healthy, internal leak (with its size), another fault (which), or undecided (why).
 
-    First it checks the recording: gaps, jitter, units, signs, exchanged chambers, stuck and saturated sensors. Then two
-    detectors read the leak window by window: an estimator with the simulator as model, and the leakage head or another
-    one (`--detector`). Writes a page (`diagnosis.html`), the leak over time and the findings as CSV; the last
-    line is the verdict. With `--before` the line above it tells what a new seal did, at 40 °C. Columns need the
-    names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
+    First it checks the recording: gaps, jitter, units, signs, exchanged chambers, stuck and saturated sensors. Then
+    an estimator reads the leak window by window, with the simulator as model. Writes a page (`diagnosis.html`), the
+    leak over time and the findings as CSV; the last line is the verdict. With `--before` the line
+    above it tells what a new seal did, at 40 °C. Columns need the names that `hydro record` writes, or a map;
+    `docs/diagnose.md` shows one.
 
     Exit codes: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell, 2 wrong input.
     """
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
     from hydro_rig.diagnosis.change import change_of
-    from hydro_rig.diagnosis.diagnose import companion_of, in_json
     from hydro_rig.diagnosis.diagnose import diagnose as diagnose_recording
+    from hydro_rig.diagnosis.diagnose import in_json
     from hydro_rig.diagnosis.diagnosis_page import FILES, JOB, diagnose_to_folder
     from hydro_rig.diagnosis.oil import Oil
     from hydro_rig.diagnosis.verdict import EXIT_CODES
@@ -89,13 +80,12 @@ def diagnose(
 
     refuse_taken(output, JOB, FILES, overwrite)
     config = task_config(task, rig=rig)
-    companion = companion_of(detector)
     mapped = read_map(columns) if columns is not None else None
     filling, change = Oil.of(oil or "46"), None
     with shown(as_json):
-        diagnosis = diagnose_recording(recording, config, companion, mapped, window, windows)
+        diagnosis = diagnose_recording(recording, config, mapped, window, windows)
         if before is not None:
-            earlier = diagnose_recording(before, config, companion, mapped, window, windows)
+            earlier = diagnose_recording(before, config, mapped, window, windows)
             change = change_of(earlier, diagnosis, filling)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line(), change.line if change else "")
     if as_json:
@@ -118,9 +108,6 @@ def watch(
         Path, typer.Option(metavar="FILE", help="The table of readings, as that of `hydro trend`.")
     ] = Path("results/watch/watch.csv"),
     tag: Annotated[str, typer.Option(help="Column, or tag of line protocol, that names the axis.")] = "axis",
-    mqtt: Annotated[
-        str | None, typer.Option(metavar="HOST[:PORT]/TOPIC", help="Read an MQTT topic instead of the standard input.")
-    ] = None,
     protocol: Annotated[bool, typer.Option("--line-protocol", help="Print line protocol instead of JSON.")] = False,
 ) -> None:
     """Watch running axes: rows come in, one line per axis and look goes out, in the words of NAMUR NE 107.
@@ -130,14 +117,12 @@ def watch(
     one false alarm in 100 hours. The table holds a reading per hour and each change of state; beside it lies the memory
     of the alarms, with which the next call goes on. `docs/watch.md` shows Telegraf and MQTT.
     """
-    from hydro_rig.watching.rows import RowReader
-    from hydro_rig.watching.sources import broker, lines_of, standard_input
+    from hydro_rig.watching.sources import lines_of, standard_input
     from hydro_rig.watching.stream import FleetWatch
 
     axes = _fleet(fleet, task=task, rig=rig, map=columns, oil=oil, limit=limit)
     _tell_rig(fleet, task, rig)
-    reader = RowReader(axes, tag)
-    for look in FleetWatch(axes, append).looks(lines_of(broker(mqtt) if mqtt else standard_input), reader):
+    for look in FleetWatch(axes, append).looks(lines_of(standard_input), tag):
         say(look.line(protocol))
         sys.stdout.flush()
 

@@ -35,8 +35,8 @@ def leak_test(
 
     The test presses the axis against its stops at several openings, closes the valve, and makes short moves; the
     openings are those with which simulated axes stay within your limits. Written are a page (`plan.html`), the commands
-    (`commands.csv`) and a simulated recording. The reading gives litres per minute with an interval, the leak of the
-    seal apart from that of the valve's edges, as `leak_test.html` and JSON.
+    (`commands.csv`) and a simulated recording. The reading gives litres per minute with an interval, and the wear of
+    the valve, as `leak_test.html` and JSON.
     Exit codes of the reading: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell.
     """
     from hydro_agents.running.folders import output_folder, refuse_taken
@@ -62,8 +62,8 @@ def leak_test(
     refuse_taken(folder, pages.JOB, pages.READING_FILES, overwrite)
     mapped = read_map(columns) if columns is not None else None
     with shown():
-        found = read_leak_test(recording, config, mapped)
+        found, quantities = read_leak_test(recording, config, mapped)
     with output_folder(folder, pages.JOB, pages.READING_FILES, overwrite=overwrite):
-        pages.write_reading(folder, found, command_line())
-    say(*lines_of(found.checked.findings), found.line(), folder / pages.READING_FILES[0], found.verdict.line())
+        pages.write_reading(folder, found, quantities, command_line())
+    say(*lines_of(found.checked.findings), folder / pages.READING_FILES[0], found.verdict.line())
     raise typer.Exit(EXIT_CODES[found.verdict.kind])

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_agents.running.text import number
-from hydro_rig.diagnosis.diagnose import Diagnosis
 from hydro_rig.diagnosis.oil import Oil, referred, temperature_of
+from hydro_rig.diagnosis.pipeline import Diagnosis
 from hydro_rig.diagnosis.verdict import Leak
 
 
@@ -25,8 +25,7 @@ def change_of(before: Diagnosis, after: Diagnosis, oil: Oil) -> Change:
     for when, one in (("before", before), ("after", after)):
         if one.verdict.leak is None:
             return Change(None, f"cannot tell what has changed: {when}: {one.verdict.why}")
-        warm = one.recording.auxiliary.get("oil_temperature", np.zeros(0))
-        sizes.append(referred(one.verdict.leak, oil, temperature_of(warm)))
+        sizes.append(referred(one.verdict.leak, oil, temperature_of(one.recording)))
     old, new = sizes
     fall = float(old.value - new.value)
     low = fall - float(np.hypot(old.value - old.low, new.high - new.value))

@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from hydro_agents.report.kit import BLUE, GREEN, GREY, ORANGE, PAPER, Page, drawn, signal, time_panels
+from hydro_agents.report.kit import GREEN, ORANGE, PAPER, Page, drawn, signal, time_panels
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised
 from hydro_env.files import write_text
 from hydro_env.types import Floats
-from hydro_rig.diagnosis.diagnose import Diagnosis, findings_table, leak_table
+from hydro_rig.diagnosis.diagnose import findings_table, leak_table
+from hydro_rig.diagnosis.pipeline import Diagnosis
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.identification.identification_page import findings_frame, rig_line
 from hydro_rig.recordings.columns import MEASURED
-from hydro_rig.recordings.findings import Finding, Weight, lines_of
+from hydro_rig.recordings.findings import lines_of
 
 PAGE_FILE, TABLE_FILE, FINDINGS_FILE = FILES = ("diagnosis.html", "leak.csv", "findings.csv")
 JOB = "diagnose"
@@ -83,15 +84,10 @@ def diagnosis_page(
     axes = time_panels(("leak, l/min at 100 bar", *PANELS), 9.5, height_ratios=[1.7, 1, 1, 1])
     draw_leak(axes[0], diagnosis)
     draw_signals(axes[1:], recording.time, recording.signals)
-    for one, (_, names) in zip(axes[1:], PANELS.values(), strict=True):
-        mark(one, recording.time, [finding for finding in diagnosis.checked.findings if finding.signal in names])
     note = (
-        "Each point is one window with its 90 % interval; a hollow one does not count. Green: healthy seals. Orange: "
-        "faults. Shaded below: the first place of each finding."
+        "Each point is one window with its 90 % interval; a hollow one does not count. Green: healthy. Orange: faults."
     )
     page.figure(axes, "Leak and measured signals", note)
-    if diagnosis.note:
-        page.text(f"{capitalised(diagnosis.note)}. Only the estimator was used.", "soft")
     page.heading("The recording")
     if diagnosis.checked.findings:
         page.table(findings_frame(diagnosis.checked.findings), "Findings", words=True)
@@ -107,9 +103,8 @@ def diagnosis_page(
         "rows": len(recording.time),
         "control period, ms": 1e3 * samples.period,
         "windows": len(diagnosis.windows),
+        "windows with an answer": int(diagnosis.reading.answers.sum()),
     }
-    for name, _, reading, _ in diagnosis.readings:
-        facts[f"read by the {name}"] = int(reading.answers.sum())
     page.facts(facts)
     return page
 
@@ -122,15 +117,6 @@ def draw_signals(axes: Sequence[Axes], time: Floats, signals: Floats) -> None:
             signal(one, time, values, label=name.replace("_", " "), linewidth=1.0)
 
 
-def mark(axes: Axes, time: Floats, findings: Sequence[Finding]) -> None:
-    """Shade the first place of each finding."""
-    for finding in findings:
-        if finding.begin >= 0.0:
-            end = max(finding.end, finding.begin + 0.003 * float(time[-1]))
-            colour = GREY if finding.weight is Weight.NOTE else ORANGE
-            axes.axvspan(finding.begin, end, color=colour, alpha=0.35, linewidth=0)
-
-
 def draw_leak(axes: Axes, diagnosis: Diagnosis) -> None:
     """The leak of each window with its 90 % interval; a hollow marker does not count."""
     windows, limits = diagnosis.windows, diagnosis.limits
@@ -138,17 +124,13 @@ def draw_leak(axes: Axes, diagnosis: Diagnosis) -> None:
     axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
     axes.axhspan(LOWEST, limits.healthy, color=GREEN, alpha=0.10, linewidth=0)
     axes.axhspan(limits.fault, HIGHEST, color=ORANGE, alpha=0.07, linewidth=0)
-    middle, length = 0.5 * (windows.begin + windows.end), windows.end - windows.begin
-    looks = {"estimator": (0.12, "s", ORANGE)}
-    for name, column, reading, _ in reversed(diagnosis.readings):
-        shift, marker, colour = looks.get(column, (-0.12, "o", BLUE))
-        sizes = np.clip([reading.flow_lpm, reading.low_lpm, reading.high_lpm], LOWEST, HIGHEST)
-        for counts, face in ((reading.answers, colour), (~reading.answers, PAPER)):
-            chosen = np.isfinite(reading.flow_lpm) & counts
-            value, low, high = sizes[:, chosen]
-            label = name if face == colour else f"{name}, does not count"
-            if not chosen.any():
-                label = "_"
-            style: dict[str, Any] = {"fmt": marker, "color": colour, "markerfacecolor": face, "label": label}
-            place = (middle + shift * length)[chosen]
-            axes.errorbar(place, value, [value - low, high - value], markersize=4.5, linewidth=1.2, **style)
+    reading, middle = diagnosis.reading, 0.5 * (windows.begin + windows.end)
+    if not len(reading.answers):
+        return
+    sizes = np.clip([reading.flow_lpm, reading.low_lpm, reading.high_lpm], LOWEST, HIGHEST)
+    for counts, face, label in ((reading.answers, ORANGE, "estimator"), (~reading.answers, PAPER, "does not count")):
+        chosen = np.isfinite(reading.flow_lpm) & counts
+        value, low, high = sizes[:, chosen]
+        style: dict[str, Any] = {"fmt": "s", "color": ORANGE, "markerfacecolor": face}
+        style["label"] = label if chosen.any() else "_"
+        axes.errorbar(middle[chosen], value, [value - low, high - value], markersize=4.5, linewidth=1.2, **style)

@@ -13,9 +13,11 @@ from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised
 from hydro_env.files import write_text
 from hydro_env.units import FULL_VOLTAGE
+from hydro_rig.diagnosis.diagnose import in_json
 from hydro_rig.diagnosis.diagnosis_page import PANELS, diagnosis_page, draw_signals
 from hydro_rig.diagnosis.leak_test_plan import SIMULATED_LEAK, Plan
-from hydro_rig.diagnosis.leak_test_reading import LeakTest
+from hydro_rig.diagnosis.leak_test_reading import Quantities
+from hydro_rig.diagnosis.pipeline import Diagnosis
 from hydro_rig.recordings.simulated import recording_csv
 
 JOB = "leak-test"
@@ -69,8 +71,9 @@ def plan_page(plan: Plan) -> Page:
     return page
 
 
-def write_reading(folder: Path, test: LeakTest, command: str) -> None:
+def write_reading(folder: Path, found: Diagnosis, quantities: Quantities, command: str) -> None:
     """Write the page and the numbers."""
-    write_text(folder / "leak_test.json", json.dumps(test.facts(), indent=1) + "\n")
-    page = diagnosis_page(test, "Leak test of the axis", "leak_test.json", test.line())
+    sizes = {name: interval._asdict() for name, interval in quantities.items()}
+    write_text(folder / "leak_test.json", json.dumps(in_json(found) | {"quantities": sizes}, indent=1) + "\n")
+    page = diagnosis_page(found, "Leak test of the axis", "leak_test.json")
     page.write(folder / "leak_test.html", Origin.now(command))

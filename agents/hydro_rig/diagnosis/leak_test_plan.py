@@ -27,11 +27,10 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, own_value
-from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
+from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats, Mask
 from hydro_rig.estimation.information import bound as smallest_deviation
 from hydro_rig.estimation.known_windows import KnownWindows, known_windows, leak_cases
-from hydro_rig.estimation.replay import Commands, Rows, replay
 from hydro_rig.estimation.unknowns import Prior, priors_of
 from hydro_rig.identification.fit import unknowns_of
 
@@ -107,13 +106,13 @@ def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None,
         ConfigurationError: no test is possible within the limits.
     """
     task, signs = worn_task(config), STOPS[stop]
+    exact = task_config(task, sensors={"enabled": False})
     speed = config.failure.end_stop_speed if speed is None else speed
     opening = min(LARGEST_OPENING, speed / max(speed_limits(task.plant)))
     for _ in range(ATTEMPTS):
-        travel = _travel_times(task, signs, duration, opening)
+        travel = _travel_times(exact, signs, duration, opening)
         steps = steps_of(task, dict(zip(signs, travel, strict=True)), duration, opening)
-        windows = simulated(task, steps, PLANTS)
-        true = _true_readings(task, windows)
+        true = simulated(exact, steps, PLANTS).signals
         fastest = float(np.abs(np.gradient(true[:, POSITION], task.control_period, axis=1)).max())
         if fastest <= speed:
             break
@@ -129,6 +128,7 @@ def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None,
             f"leak-test: a simulated axis reaches {1e-5 * highest:.0f} bar, and the rig is made for "
             f"{1e-5 * rating:.0f} bar: lower --speed, or test another --stop"
         )
+    windows = simulated(task, steps, PLANTS)
     fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
     bound = smallest_deviation(task, windows, priors_of_test(task, fitted))
     return Plan(task, steps, bound, windows.signals, fastest)
@@ -227,16 +227,10 @@ def simulated(
     return known_windows(standing, Played(openings), cases, 0.0, (len(openings) - 2) * task.control_period)
 
 
-def _true_readings(task: TaskConfig, windows: KnownWindows) -> Floats:
-    """Readings (N, sensors, T) of simulated axes, SI, without noise."""
-    commands, rows = Commands(windows.signals[:, COMMAND]), np.arange(len(windows.signals))
-    return replay(task, commands, Rows(rows, windows.physical, windows.start, windows.latency))
-
-
 def _travel_times(task: TaskConfig, signs: Sequence[float], duration: float, opening: float) -> Sequence[float]:
-    """Seconds that the slowest simulated axis needs to each stop of the test, in order."""
+    """Seconds that the slowest simulated axis with exact sensors needs to each stop of the test, in order."""
     steps = [Step(sign * opening, duration, "trial") for sign in signs]
-    position = _true_readings(task, simulated(task, steps, PLANTS))[:, POSITION]
+    position = simulated(task, steps, PLANTS).signals[:, POSITION]
     length = round(duration / task.control_period)
     times = []
     for place in range(len(signs)):

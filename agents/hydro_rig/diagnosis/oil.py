@@ -17,6 +17,7 @@ from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.verdict import Leak
+from hydro_rig.recordings.recording import Recording
 
 REFERENCE = 40.0  # °C, to which leaks are referred
 UNMEASURED = 40.0, 20.0 * 0.9 / HALF_WIDTH  # °C, mean and standard deviation without a thermometer: 20 to 60 with 0.9
@@ -80,8 +81,9 @@ class Oil(NamedTuple):
         return self.factor(middle + deviations * deviation * np.array([0.0, -1.0, 1.0]))
 
 
-def temperature_of(readings: Floats) -> float:
-    """Mean of the readings of a thermometer (n,), °C; NaN: there are none."""
+def temperature_of(recording: Recording) -> float:
+    """Mean temperature of the oil in a recording, °C; NaN: it was not recorded."""
+    readings = recording.auxiliary.get("oil_temperature", np.zeros(0))
     known = readings[np.isfinite(readings)]
     return float(known.mean()) if len(known) else np.nan
 

@@ -1,4 +1,4 @@
-"""The one way from a checked recording to its verdict, for ``hydro diagnose``, ``trend`` and ``leak-test``.
+"""The one way from a recording to its verdict, for ``hydro diagnose``, ``trend`` and ``leak-test``.
 
 The commands differ in the windows that they choose and in what reads them; all else is the same: what makes one of them
 refuse makes all refuse, and a measured flow serves all.
@@ -6,9 +6,9 @@ refuse makes all refuse, and a measured flow serves all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,117 +16,104 @@ from hydro_agents.detection.detector import Reading, Windows
 from hydro_env import HydroError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B
-from hydro_rig.diagnosis.verdict import Case, Limits, Verdict, by_volume, judge
-from hydro_rig.diagnosis.volume_balance import BLOCK, Blocks, VolumeLeak, blocks_of
+from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
+from hydro_rig.diagnosis.oil import Oil, referred, temperature_of
+from hydro_rig.diagnosis.verdict import Case, Leak, Limits, Verdict, by_volume, judge
+from hydro_rig.diagnosis.volume_balance import volume_leak
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.identification.data_sheet import contradictions, worst_signal
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording
-from hydro_rig.recordings.sampling import Sampled, bridged
+from hydro_rig.recordings.sampling import Sampled, bridged, on_grid
 
 OTHER_CLOCK = 2.0  # errors over the noise of the data sheet with which half of the windows show an unknown command
-LONGEST_STEP = 3.0  # of the usual distance of rows: a longer one ends a part of a recording, as one beyond BLOCK
 
 
 class Read(NamedTuple):
     """What was read in the windows of a recording."""
 
-    estimator: Reading | None = None  # or the common fit of a leak test
-    companion: Reading | None = None  # the detector beside the estimator
+    reading: Reading = Reading.of(np.zeros(0))  # of each window
     fitted: Estimate | None = None
-    findings: Sequence[Finding] = ()
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A recording with its verdict."""
+class Diagnosis:
+    """A recording with its verdict, and what this rests on."""
 
+    recording: Recording
     task: TaskConfig  # that was assumed
     checked: Checked  # short gaps of the command are filled; all findings
     windows: Windows
-    read: Read
+    reading: Reading  # of each window; empty: nothing was read
     limits: Limits
     verdict: Verdict
 
 
-def judged(
-    checked: Checked,
+def diagnosed(
+    recording: Recording,
     config: TaskConfig,
     choose: Callable[[Sampled], Windows],
-    read: Callable[[Windows], Read],
-    recording: Recording,
-    balance: VolumeLeak | None,
+    read: Callable[[Windows, TaskConfig], Read],
     window: float,
-    companion: str = "",
-) -> Judged:
-    """Fill gaps, choose windows, read them unless a finding is severe, and judge.
+    oil: Oil | None = None,
+) -> Diagnosis:
+    """Check a recording, choose windows, read them unless a finding is severe, and judge.
 
     Args:
-        checked: the samples and what was found about them.
+        recording: the rows.
         config: the task whose rig was recorded.
         choose: the windows of the samples.
-        read: reads them.
-        recording: the rows, for the balance.
-        balance: the leak from a measured flow; ``None``: no flow was recorded.
+        read: reads them, with the task at their sample time.
         window: s, length of the windows, for the reasons.
-        companion: name of the detector beside the estimator.
+        oil: judges the leak at 40 °C; ``None``: as measured.
     """
-    limits = Limits.of(config)
+    checked = check_recording(recording, config)
+    config = on_grid(config, checked.samples.period)
     samples, filled = bridged(checked.samples)
     checked = Checked(samples, [*checked.findings, *filled])
+    findings, warm = checked.findings, temperature_of(recording)
+    balance = volume_leak(recording)
     if balance is not None:
         balance = balance.on(plant_coefficients(config.plant).area_a)
+        if oil is not None:
+            at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, warm)
+            balance = balance._replace(**at_40._asdict())
         what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
-        checked.findings.append(Finding("flow", what, Weight.NOTE))
+        findings.append(Finding("flow", what, Weight.NOTE))
     windows = choose(samples)
     result, residual = Read(), ""
     refused = bool(checked.severe)
-    if not refused:
-        result = _read(windows, read)
-        checked.findings.extend(result.findings)
-    if result.fitted is not None:
-        checked.findings.extend(contradictions(result.fitted, config))
-        residual = worst_signal(result.fitted, config)
-        errors = np.hypot(result.fitted.slow, result.fitted.white)
+    if not refused and len(windows):
+        result = _read(windows, config, read, findings)
+    reading, fitted = result
+    if fitted is not None:
+        findings += contradictions(fitted, config)
+        residual = worst_signal(fitted, config)
+        errors = np.hypot(fitted.slow, fitted.white)
         if samples.own_clock and (errors > OTHER_CLOCK).any(axis=1).mean() >= 0.5:
             what = "acts between the rows, by another clock than that of the log; record at the control period"
-            checked.findings.append(Finding("command", what, Weight.SEVERE))
-    nothing = Reading.of(np.zeros(0))
-    readings = result.estimator or nothing, result.companion or nothing
-    verdict = judge(Case(checked.findings, *readings, limits, window, residual, companion))
+            findings.append(Finding("command", what, Weight.SEVERE))
+    if oil is not None:
+        sizes: list[Any] = [reading.flow_lpm, reading.low_lpm, reading.high_lpm]
+        leak: Any = referred(Leak(*sizes), oil, warm)
+        reading = reading._replace(flow_lpm=leak.value, low_lpm=leak.low, high_lpm=leak.high)
+    limits, blind = Limits.of(config), bool(np.isnan(recording.signals[[PRESSURE_A, PRESSURE_B]]).all())
+    verdict = judge(Case(findings, reading, limits, window, residual, blind))
     # A balance has no commands: it may decide where the rows do not fit the control period, if nothing else is severe
     # on a grid of their own.
     if balance is not None and not (check_recording(recording, config, own_grid=True) if refused else checked).severe:
         verdict = by_volume(verdict, balance, limits)
-    return Judged(config, checked, windows, result, limits, verdict)
+    return Diagnosis(recording, config, checked, windows, reading, limits, verdict)
 
 
-def _read(windows: Windows, read: Callable[[Windows], Read]) -> Read:
+def _read(
+    windows: Windows, config: TaskConfig, read: Callable[[Windows, TaskConfig], Read], findings: list[Finding]
+) -> Read:
     """What is read in the windows; a failure is a severe finding in one line."""
     try:
-        return read(windows)
+        return read(windows, config)
     except (ValueError, ArithmeticError, LookupError) as error:
         what = f"cannot be read: {error if isinstance(error, HydroError) else reason(error)}"
-        return Read(findings=[Finding("windows", " ".join(what.split()), Weight.SEVERE)])
-
-
-def flow_blocks(recording: Recording) -> Iterator[Blocks]:
-    """The blocks of a balance of volumes; none without a flow, the position or one of the pressures."""
-    if "flow" not in recording.auxiliary or len(recording.time) < 2:
-        return
-    motion = recording.signals[[POSITION, PRESSURE_A, PRESSURE_B]]
-    signals = np.vstack([motion, recording.auxiliary["flow"]])
-    steps = np.diff(recording.time)
-    step = float(np.median(steps))
-    if not np.isfinite(signals).any(axis=1).all() or step <= 0.0:
-        return
-    ends = np.flatnonzero((steps < 0.0) | (steps > max(BLOCK, LONGEST_STEP * step))) + 1
-    for part in np.split(np.arange(len(recording.time)), ends):
-        stamps = recording.time[part]
-        time = np.arange(stamps[0], stamps[-1], step)
-        # A missing reading stays NaN.
-        position, pressure_a, pressure_b, flow = (np.interp(time, stamps, values[part]) for values in signals)
-        if len(time) > 1:
-            yield blocks_of(position, pressure_a, pressure_b, flow, step)
+        findings.append(Finding("windows", " ".join(what.split()), Weight.SEVERE))
+        return Read()

@@ -26,8 +26,6 @@ CHANGED = 3.0
 SHORT = 0.5  # s; the shortest window that is recommended
 SHORTER = f"shorter ones (--window {SHORT:g}) may fit between the gaps, and read the leak less exactly"
 
-BALANCE = "balance of volumes"  # as the detector that decided
-
 
 class Kind(StrEnum):
     """The four verdicts."""
@@ -79,7 +77,6 @@ class Verdict(NamedTuple):
     kind: Kind
     why: str  # the fault, or the reason
     leak: Leak | None  # None: no reading
-    detector: str  # that decided; empty: none
 
     def line(self) -> str:
         """The verdict in one line."""
@@ -100,12 +97,11 @@ class Case:
     """What the rules of the verdict look at."""
 
     findings: Sequence[Finding]  # about the recording
-    estimator: Reading  # of the estimator in the order of time; empty: it was not used
-    companion: Reading  # of the detector beside it; empty: it was not used
+    reading: Reading  # of the estimator in the order of time; empty: nothing was read
     limits: Limits
     window: float = 2.0  # s, length of a window
     residual: str = ""  # which signal differs from the model; for the reason where it does not hold
-    companion_name: str = "leakage head"
+    blind: bool = False  # neither pressure was recorded
 
     def of_weight(self, weight: Weight) -> list[str]:
         """The findings of a weight, a line each."""
@@ -114,22 +110,8 @@ class Case:
     @property
     def missed(self) -> Mask:
         """Of the windows that the estimator has tried to explain, those that its model does not explain."""
-        tried = ~np.isin(self.estimator.why, (Why.NO_COMMANDS, Why.NOT_READ))
-        return np.asarray(self.estimator.cause[tried] == Cause.UNKNOWN)
-
-    @property
-    def leader(self) -> str:
-        """The detector that decides: the estimator if it has run.
-
-        Its model shows when it is not valid, and its intervals what a recording does not determine.
-        """
-        ran = (self.estimator.why != Why.NO_COMMANDS).any()
-        return "estimator" if ran else self.companion_name
-
-    @property
-    def reading(self) -> Reading:
-        """That of the leader."""
-        return self.estimator if self.leader == "estimator" else self.companion
+        tried = ~np.isin(self.reading.why, (Why.NO_COMMANDS, Why.NOT_READ))
+        return np.asarray(self.reading.cause[tried] == Cause.UNKNOWN)
 
     @property
     def blamed(self) -> str:
@@ -149,14 +131,9 @@ class Case:
             return f"{Cause.SENSOR.word}: {stuck[0]}"
         return "" if self.of_weight(Weight.DOUBT) else named_fault(self.reading)
 
-    @property
-    def blind(self) -> bool:
-        """Whether neither pressure was recorded."""
-        return {"pressure_a", "pressure_b"} <= {finding.signal for finding in self.findings if finding.absent}
-
     def answer(self, kind: Kind, why: str = "") -> Verdict:
-        """A verdict by the leader, with the leak."""
-        return Verdict(kind, why, self.leak, self.leader)
+        """A verdict with the leak."""
+        return Verdict(kind, why, self.leak)
 
 
 def severe_finding(case: Case) -> Verdict | None:
@@ -165,7 +142,7 @@ def severe_finding(case: Case) -> Verdict | None:
     if not severe:
         return None
     more = f" (and {len(severe) - 1} more)" if len(severe) > 1 else ""
-    return Verdict(Kind.UNKNOWN, severe[0] + more, None, "")
+    return Verdict(Kind.UNKNOWN, severe[0] + more, None)
 
 
 def other_rig(case: Case) -> Verdict | None:
@@ -180,7 +157,7 @@ def other_rig(case: Case) -> Verdict | None:
     why += "windows that were read"
     if case.residual:
         why += f"; {case.residual}"
-    return Verdict(Kind.UNKNOWN, f"{why}; check --rig{case.blamed}", None, "estimator")
+    return Verdict(Kind.UNKNOWN, f"{why}; check --rig{case.blamed}", None)
 
 
 def no_size(case: Case) -> Verdict | None:
@@ -191,9 +168,8 @@ def no_size(case: Case) -> Verdict | None:
     if case.reading.sized.any():
         return None
     if case.of_weight(Weight.FAULT) and case.missed.sum() < MOST * len(case.missed):
-        return Verdict(Kind.OTHER, case.fault, None, case.leader)
-    why = _why_nothing(case.window, case.estimator, case.companion)
-    return Verdict(Kind.UNKNOWN, why + case.blamed, None, "")
+        return Verdict(Kind.OTHER, case.fault, None)
+    return Verdict(Kind.UNKNOWN, _why_nothing(case) + case.blamed, None)
 
 
 def leaks(case: Case) -> Verdict | None:
@@ -268,7 +244,7 @@ def judge(case: Case) -> Verdict:
 
 
 def by_volume(verdict: Verdict, balance: VolumeLeak, limits: Limits) -> Verdict:
-    """The verdict with a measured flow: where the detectors cannot tell, the balance of volumes decides alone.
+    """The verdict with a measured flow: where the estimator cannot tell, the balance of volumes decides alone.
 
     The caller makes sure that no severe finding speaks against the signals of the balance, and that it belongs to the
     piston of the rig (:meth:`~hydro_rig.diagnosis.volume_balance.VolumeLeak.on`).
@@ -280,11 +256,10 @@ def by_volume(verdict: Verdict, balance: VolumeLeak, limits: Limits) -> Verdict:
     leak = Leak(balance.value, balance.low, balance.high)
     why = f"by a balance of volumes over {balance.moves} steady moves, which needs no valve"
     if leak.low > limits.healthy:
-        return Verdict(Kind.LEAK, why, leak, BALANCE)
+        return Verdict(Kind.LEAK, why, leak)
     if leak.high < limits.fault:
-        return Verdict(Kind.HEALTHY, why, leak, BALANCE)
-    why = f"the leak past the piston is {leak.text()} {why}; it may be healthy or faulty"
-    return Verdict(Kind.UNKNOWN, why, leak, BALANCE)
+        return Verdict(Kind.HEALTHY, why, leak)
+    return Verdict(Kind.UNKNOWN, f"the leak past the piston is {leak.text()} {why}; it may be healthy or faulty", leak)
 
 
 def named_fault(reading: Reading) -> str:
@@ -321,14 +296,12 @@ def combined(reading: Reading) -> tuple[Leak, str]:
     return Leak(value, value - below, value + above), change
 
 
-def _why_nothing(window: float, *readings: Reading) -> str:
-    """The most frequent reason of the first detector that gives one."""
-    for reading in readings:
-        reasons = Counter(reading.why[reading.why != Why.ANSWERED].tolist())
-        if not reasons:
-            continue
-        why = Why(reasons.most_common(1)[0][0])
-        if why is not Why.NO_COMMANDS:
-            return why.word
-        return f"commands are missing in every window; {SHORTER if window > SHORT else 'record without gaps'}"
-    return "the recording is shorter than one window"
+def _why_nothing(case: Case) -> str:
+    """The most frequent reason of the windows."""
+    why = case.reading.why
+    if not len(why):
+        return "the recording is shorter than one window"
+    most = Why(Counter(why[why != Why.ANSWERED].tolist()).most_common(1)[0][0])
+    if most is not Why.NO_COMMANDS:
+        return most.word
+    return f"commands are missing in every window; {SHORTER if case.window > SHORT else 'record without gaps'}"

@@ -11,20 +11,22 @@ the covariance is that of clusters (Liang and Zeger 1986, *Biometrika* 73).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B
 from hydro_env.types import Floats, Indices
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+from hydro_rig.recordings.recording import Recording
 
 SAME_AREA = 0.1
 """Largest difference of the fitted piston area from that of the rig. Flow meters and displacements of pumps are right
 within a few per cent; neighbouring bores of ISO 3320 differ by more than 40 % in area, units by 20 % and more."""
 
+LONGEST_STEP = 3.0  # of the usual distance of rows: a longer one ends a part of a recording, as one beyond BLOCK
 BLOCK = 0.5  # s, over which flow, speed and pressures are averaged
 QUARTERS = 4  # of a block, whose speeds show whether it is steady
 STEADY = 0.2  # largest range of their speeds, as a share of the mean
@@ -54,27 +56,15 @@ class VolumeLeak(NamedTuple):
         return _none(self.moves, what + "its unit or sign, the unit of the position, or the bore of the rig is wrong")
 
 
-class Blocks(NamedTuple):
-    """Means over blocks of a recording, (N,) each; NaN: a reading is missing."""
-
-    speed: Floats  # m/s
-    flow: Floats  # m³/s, into chamber a
-    difference: Floats  # Pa, of the pressures
-    rise: Floats  # Pa/s, of the pressure in chamber a
-    range_of_speed: Floats  # m/s, within the block
-
-
-def leak_of_blocks(parts: Iterable[Blocks]) -> VolumeLeak | None:
-    """The leak past the piston from the blocks of the parts of a recording; ``None`` if there are none."""
-    parts = list(parts)
-    if not parts:
+def volume_leak(recording: Recording) -> VolumeLeak | None:
+    """The leak past the piston; ``None`` without a flow, the position or one of the pressures."""
+    blocks = _blocks_of(recording)
+    if blocks is None:
         return None
-    if sum(len(part.speed) for part in parts) < FEWEST_MOVES:
-        return _none(0, "is too short for a balance of volumes")
-    between = np.full((len(Blocks._fields), 1), np.nan)  # a part ends a move
-    joined = np.concatenate([np.concatenate([np.array(part), between], axis=1) for part in parts], axis=1)
-    speed, volume, difference, rise, range_of_speed = joined
+    speed, volume, difference, rise, range_of_speed = blocks
     known = np.isfinite(speed + volume + difference + rise)
+    if len(known) < FEWEST_MOVES:
+        return _none(0, "is too short for a balance of volumes")
     usual = float(np.quantile(np.abs(speed[known]), 0.95)) if known.any() else 0.0
     steady = known & (np.abs(speed) > LEAST_SPEED * usual) & (range_of_speed < STEADY * np.abs(speed))
     chosen = np.flatnonzero(steady)
@@ -100,31 +90,42 @@ def _none(moves: int, why: str) -> VolumeLeak:
     return VolumeLeak(unknown, unknown, unknown, unknown, moves, unknown, why)
 
 
-def blocks_of(position: Floats, pressure_a: Floats, pressure_b: Floats, flow: Floats, period: float) -> Blocks:
-    """Means over blocks.
+def _blocks_of(recording: Recording) -> Floats | None:
+    """Means over blocks, (5, N): speed, flow, difference of the pressures, rise of that in chamber a, range of speed.
 
-    Args:
-        position: (T,), m.
-        pressure_a: (T,), Pa.
-        pressure_b: (T,), Pa.
-        flow: into chamber a, (T,), m³/s.
-        period: of the samples, s. NaN in a signal leaves out the block.
+    NaN: a reading is missing, or a part of the recording ends.
     """
-    samples = max(round(BLOCK / period / QUARTERS), 1) * QUARTERS
-    count = (len(position) - 1) // samples
-    ends = np.arange(count + 1) * samples
-    duration = samples * period
+    steps = np.diff(recording.time)
+    step = float(np.median(steps)) if len(steps) else 0.0
+    motion = recording.signals[[POSITION, PRESSURE_A, PRESSURE_B]]
+    signals = np.vstack([motion, recording.auxiliary.get("flow", np.full_like(recording.time, np.nan))])
+    if not np.isfinite(signals).any(axis=1).all() or step <= 0.0:
+        return None
+    samples = max(round(BLOCK / step / QUARTERS), 1) * QUARTERS
+    duration = samples * step
+    blocks = []
+    ends = np.flatnonzero((steps < 0.0) | (steps > max(BLOCK, LONGEST_STEP * step))) + 1
+    for part in np.split(np.arange(len(recording.time)), ends):
+        stamps = recording.time[part]
+        time = np.arange(stamps[0], stamps[-1], step)
+        count = (len(time) - 1) // samples
+        if count < 1:
+            continue
+        # A missing reading stays NaN.
+        position, pressure_a, pressure_b, flow = (
+            np.interp(time, stamps, values[part])[: count * samples + 1] for values in signals
+        )
+        speeds = np.diff(position[:: samples // QUARTERS]).reshape(count, QUARTERS) / (duration / QUARTERS)
+        means = [_means(values, count) for values in (flow, pressure_a - pressure_b)]
+        rise = np.diff(pressure_a[::samples]) / duration
+        blocks += [np.stack([speeds.mean(axis=1), *means, rise, np.ptp(speeds, axis=1)]), np.full((5, 1), np.nan)]
+    return np.concatenate(blocks, axis=1) if blocks else np.empty((5, 0))
 
-    def mean(values: Floats) -> Floats:
-        between = 0.5 * (values[1 : ends[-1] + 1] + values[: ends[-1]])
-        means: Floats = between.reshape(count, samples).mean(axis=1)
-        return means
 
-    quarter = position[: ends[-1] + 1 : samples // QUARTERS]
-    speeds: Floats = (np.diff(quarter) / (duration / QUARTERS)).reshape(count, QUARTERS)
-    rise = np.diff(pressure_a[ends]) / duration
-    difference = mean(pressure_a - pressure_b)
-    return Blocks(speeds.mean(axis=1), mean(flow), difference, rise, np.ptp(speeds, axis=1))
+def _means(values: Floats, count: int) -> Floats:
+    """Means over ``count`` blocks by the trapezoidal rule."""
+    means: Floats = (0.5 * (values[1:] + values[:-1])).reshape(count, -1).mean(axis=1)
+    return means
 
 
 def _robust(causes: Floats, wanted: Floats, cluster: Indices) -> tuple[Floats, Floats, float, int]:

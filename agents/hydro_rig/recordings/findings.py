@@ -33,7 +33,6 @@ class Finding(NamedTuple):
     begin: float = np.nan  # s, first place; NaN for the whole recording
     end: float = np.nan  # s, end of the first place
     share: float = np.nan  # of the recording, 0 to 1
-    absent: bool = False  # the signal was not recorded; code decides on this, the words are for people
 
     def line(self) -> str:
         """The finding in one line."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,14 @@ import numpy as np
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_rig.diagnosis.diagnose import read_windows
-from hydro_rig.diagnosis.oil import Oil, referred, temperature_of
-from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged
-from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, combined
-from hydro_rig.diagnosis.volume_balance import leak_of_blocks
+from hydro_rig.diagnosis.oil import Oil, temperature_of
+from hydro_rig.diagnosis.pipeline import diagnosed
+from hydro_rig.diagnosis.verdict import Leak
 from hydro_rig.estimation.progress import told_to
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.parts import liveliest
-from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
-from hydro_rig.recordings.sampling import bridged, cut, on_grid
+from hydro_rig.recordings.sampling import Sampled, cut
 from hydro_rig.watching.fleet import Axis
 
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
@@ -55,41 +54,21 @@ def _began(path: Path) -> float:
 
 def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_WINDOWS) -> dict[str, Any]:
     """Verdict, leak at 40 °C and oil temperature of a recording, from its liveliest windows and a measured flow."""
-    row: dict[str, Any] = {"verdict": Kind.UNKNOWN.value, "temperature": np.nan, **_sizes(Leak(np.nan, np.nan, np.nan))}
-    checked = check_recording(recording, config)
-    config = on_grid(config, checked.samples.period)
-    windows = cut(bridged(checked.samples)[0], round(WINDOW / config.control_period))
-    chosen = windows.part(liveliest(windows, most, SECTION))
-    row["temperature"] = temperature_of(chosen.auxiliary_signal("oil_temperature"))
-    balance = leak_of_blocks(flow_blocks(recording))
-    if balance is not None:
-        at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, row["temperature"])
-        balance = balance._replace(**at_40._asdict())
 
-    def read(windows: Windows) -> Read:
-        if not len(windows):
-            return Read()
-        with told_to(None):  # a file is one step of the progress
-            measured, fitted = read_windows(windows, config, threads=1)
-        leaks: list[Any] = [measured.flow_lpm, measured.low_lpm, measured.high_lpm]
-        at_40 = referred(Leak(*leaks), oil, row["temperature"])
-        sizes: dict[str, Any] = {"flow_lpm": at_40.value, "low_lpm": at_40.low, "high_lpm": at_40.high}
-        return Read(measured._replace(**sizes), fitted=fitted)
+    def choose(samples: Sampled) -> Windows:
+        windows = cut(samples, round(WINDOW / samples.period))
+        return windows.part(liveliest(windows, most, SECTION))
 
-    found = judged(
-        checked, config, choose=lambda _: chosen, read=read, recording=recording, balance=balance, window=WINDOW
-    )
+    with told_to(None):  # a file is one step of the progress
+        found = diagnosed(recording, config, choose, partial(read_windows, threads=1), WINDOW, oil)
     verdict = found.verdict
-    if verdict.detector == BALANCE and verdict.leak is not None:
-        row |= _sizes(verdict.leak)
-    elif found.read.estimator is not None:
-        row |= _sizes(combined(found.read.estimator)[0])
-    reasons = [verdict.why]
-    for finding in found.checked.findings:
-        if finding.weight is Weight.FAULT:
-            reasons.append(finding.line())
-    return row | {"verdict": verdict.kind.value, "reason": "; ".join(dict.fromkeys(filter(None, reasons)))}
-
-
-def _sizes(leak: Leak) -> dict[str, float]:
-    return {"size_40": leak.value, "low_40": leak.low, "high_40": leak.high}
+    leak = verdict.leak or Leak(np.nan, np.nan, np.nan)
+    faults = [finding.line() for finding in found.checked.findings if finding.weight is Weight.FAULT]
+    return {
+        "verdict": verdict.kind.value,
+        "reason": "; ".join(dict.fromkeys(filter(None, [verdict.why, *faults]))),
+        "temperature": temperature_of(recording),
+        "size_40": leak.value,
+        "low_40": leak.low,
+        "high_40": leak.high,
+    }

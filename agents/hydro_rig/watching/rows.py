@@ -75,11 +75,11 @@ class RowReader:
     """Reads lines; the first line decides whether they are CSV or line protocol.
 
     Args:
-        fleet: gives the signal of each column or field of an axis; default: the names that ``hydro record`` writes.
+        fleet: gives the signal of each column or field of an axis.
         tag: name of the column, or of the tag, that names the axis.
     """
 
-    def __init__(self, fleet: Fleet | None = None, tag: str = TAG) -> None:
+    def __init__(self, fleet: Fleet, tag: str = TAG) -> None:
         self._fleet, self._tag = fleet, tag
         self._headings: list[str] | None = None  # of a CSV
         self._separator = ","
@@ -112,11 +112,9 @@ class RowReader:
     def _columns_of(self, axis: str, headings: Sequence[str]) -> _Columns:
         key = (axis, *headings)
         if key not in self._columns:
-            why = "" if self._fleet is None else self._fleet.missing(axis)
-            if why:
+            if why := self._fleet.missing(axis):
                 raise RowError(why)
-            columns = None if self._fleet is None else self._fleet.axis(axis).columns
-            self._columns[key] = _Columns(headings, columns, "rows")
+            self._columns[key] = _Columns(headings, self._fleet.axis(axis).columns, "rows")
         return self._columns[key]
 
     def _of_cells(self, text: str) -> Row | None:

@@ -38,7 +38,7 @@ from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, bridged, cut, on_grid, sampled
 from hydro_rig.watching.fleet import Axis, Fleet
-from hydro_rig.watching.rows import SIGNALS, Row, RowError, RowReader, in_protocol
+from hydro_rig.watching.rows import SIGNALS, TAG, Row, RowError, RowReader, in_protocol
 from hydro_rig.watching.table import File, read_table, with_row, write_table
 from hydro_rig.watching.trend import Condition
 
@@ -157,7 +157,7 @@ class AxisWatch:
             return self._told(now, Condition.CHECK, "fewer rows than one window")
         reading = self._detector.read(windows, on_grid(self.task, samples.period))
         blind = bool(np.isnan(rows.signals[[PRESSURE_A, PRESSURE_B]]).all())  # a faulty seal can then look healthy
-        temperature = temperature_of(rows.auxiliary.get("oil_temperature", np.zeros(0)))
+        temperature = temperature_of(rows)
         leak = referred(_leak_of(reading), self.axis.oil, temperature)
         if leak.high <= self.axis.limit and not blind:
             self._sure = now
@@ -176,14 +176,11 @@ class AxisWatch:
         stamps = np.array([time for time, _ in self._rows])
         values = np.array([row for _, row in self._rows]).T
         known = np.isfinite(values).any(axis=1)
-        findings, auxiliary = [], {}
-        for name, row, present in zip(SIGNALS, values, known, strict=True):
-            if name in MEASURED and not present:
-                findings.append(Finding(name, "was not recorded", Weight.NOTE, absent=True))
-            elif name not in MEASURED and present:
-                auxiliary[name] = row
+        auxiliary = {name: row for name, row, told in zip(SIGNALS, values, known, strict=True) if told}
+        for name in MEASURED:
+            auxiliary.pop(name, None)
         signals = values[: len(MEASURED)]
-        return Recording(self.name, stamps - stamps[0], signals, {}, findings, auxiliary, float(stamps[0]))
+        return Recording(self.name, stamps - stamps[0], signals, {}, [], auxiliary, float(stamps[0]))
 
     @staticmethod
     def _newest_window(samples: Sampled, now: float) -> Windows:
@@ -289,9 +286,12 @@ class FleetWatch:
                 self._keep(look, changed=True)
                 yield look
 
-    def looks(self, lines: Iterable[str | None], reader: RowReader) -> Iterator[Look]:
-        """The looks of all lines; a line that is no row costs a line on the error stream, once per kind."""
-        told: set[str] = set()
+    def looks(self, lines: Iterable[str | None], tag: str = TAG) -> Iterator[Look]:
+        """The looks of all lines; a line that is no row costs a line on the error stream, once per kind.
+
+        ``tag``: name of the column, or of the tag, that names the axis.
+        """
+        reader, told = RowReader(self._fleet, tag), set[str]()
         last = monotonic()
         for line in lines:
             if line is None:  # nothing came for a while

@@ -7,7 +7,6 @@ from command_line import hydro, own_lines
 from recorded import CONFIG, recorded_file
 
 from hydro_agents.detection.detector import Why
-from hydro_agents.detection.monitor import load_head
 from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.units import LITRE_PER_MINUTE
@@ -95,13 +94,13 @@ BALANCE = VolumeLeak(0.01, 0.005, 0.015, AREA, 8, 0.01, "")
 @pytest.mark.parametrize(("factor", "known"), [(1.0, True), (0.92, True), (1.08, True), (0.88, False), (1.12, False)])
 def test_a_balance_belongs_to_a_piston(factor, known):
     found = BALANCE.on(factor * AREA)
-    verdict = by_volume(Verdict(Kind.UNKNOWN, "no motion", None, ""), found, Limits(0.03, 0.1))
+    verdict = by_volume(Verdict(Kind.UNKNOWN, "no motion", None), found, Limits(0.03, 0.1))
     assert (verdict.kind is Kind.HEALTHY) == (not found.why) == known
     assert known or verdict.why.startswith("no motion; flow fits a piston of 12.6 cm²")
 
 
 def test_another_verdict_stays():
-    other = Verdict(Kind.OTHER, "worn edges", None, "estimator")
+    other = Verdict(Kind.OTHER, "worn edges", None)
     assert by_volume(other, BALANCE, Limits(0.03, 0.1)) is other
 
 
@@ -113,7 +112,7 @@ def test_another_rig_ends_in_cannot_tell_after_the_first_windows(tmp_path):
     answer = hydro("diagnose", tmp_path / "a.csv", "--window", 0.5, "--output", tmp_path / "out")
     assert answer.returncode == UNKNOWN, answer.stderr
     assert own_lines(answer.stdout)[-1].startswith("cannot tell: the model does not describe this rig")
-    remarks = pd.read_csv(tmp_path / "out" / "leak.csv")["estimator_remark"].tolist()
+    remarks = pd.read_csv(tmp_path / "out" / "leak.csv")["remark"].tolist()
     assert remarks.count(Why.MISFIT.word) == 2
     assert remarks.count(Why.NOT_READ.word) == 1
 
@@ -124,7 +123,7 @@ def test_a_failure_inside_a_reading_is_one_line(recordings, monkeypatch, error):
         raise error
 
     monkeypatch.setattr(diagnosing, "read_windows", fails)
-    verdict = diagnose(recordings["gal/min as l/min"], CONFIG, load_head(None, CONFIG)).verdict
+    verdict = diagnose(recordings["gal/min as l/min"], CONFIG).verdict
     assert verdict.kind is Kind.UNKNOWN
     assert verdict.why.startswith("windows cannot be read: ")
     assert str(error).split("\n")[0] in verdict.line()

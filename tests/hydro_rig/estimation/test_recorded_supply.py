@@ -6,7 +6,6 @@ from recorded import RAM, RAM_COLUMNS, RAM_RIG
 
 from hydro_agents.detection.detector import Windows, measured_run
 from hydro_agents.detection.disturbances import SUPPLY, Disturbances, Disturbed
-from hydro_agents.detection.monitor import load_head
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import DIAGNOSIS
@@ -90,7 +89,7 @@ def test_a_supply_that_moves_is_found_without_its_record():
 
 def test_a_real_ram_with_a_pump_gets_its_verdict_from_the_flow():
     def verdict(task, columns):
-        return diagnose(RAM, task, load_head(None, TaskConfig()), ColumnMap.model_validate(columns)).verdict
+        return diagnose(RAM, task, ColumnMap.model_validate(columns)).verdict
 
     task, without = task_config(None, rig=RAM_RIG), {name: RAM_COLUMNS[name] for name in RAM_COLUMNS if name != "flow"}
     found = verdict(task, RAM_COLUMNS)

@@ -6,7 +6,6 @@ from refusal import refused
 
 from hydro_env.task.configuration import task_config
 from hydro_rig.watching.fleet import Fleet
-from hydro_rig.watching.rows import RowReader
 from hydro_rig.watching.stream import FleetWatch
 
 MAP = "time: t\ncommand: {column: u, unit: V}\nposition: {column: x, unit: mm}\n"
@@ -62,7 +61,7 @@ def test_rows_are_read_by_the_map_of_their_axis_and_those_of_a_stranger_are_left
     fleet = Fleet.load(folder / "fleet.yaml")
     watched = FleetWatch(fleet, folder / "watch.csv")
     lines = ["axis,t,u,x", "lift,1.0,2,5", "crane,1.0,2,5", "lift,1.005,2,5", "crane,1.005,2,5"]
-    assert not list(watched.looks(lines, RowReader(fleet)))
+    assert not list(watched.looks(lines))
     assert list(watched.axes) == ["lift"]
     assert watched.axes["lift"].newest == 1.005
     assert capsys.readouterr().err.count("axis 'crane' is not in ") == 1

@@ -1,13 +1,10 @@
 """``hydro watch``: rows become looks; the wiring is named before an alarm; a restart and a kill lose nothing."""
 
 import json
-import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
-from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -20,7 +17,7 @@ from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.simulated import record_axis
 from hydro_rig.watching.fleet import Axis, Fleet
 from hydro_rig.watching.rows import SIGNALS, RowError, RowReader, in_protocol
-from hydro_rig.watching.sources import MOST_LINES, broker, lines_of
+from hydro_rig.watching.sources import MOST_LINES, lines_of
 from hydro_rig.watching.stream import FleetWatch
 from hydro_rig.watching.table import read_table, write_table
 from hydro_rig.watching.trend import Condition
@@ -46,8 +43,11 @@ def healthy(tmp_path_factory):
     return rows_of(0.01, tmp_path_factory.mktemp("healthy"))
 
 
+FLEET = Fleet(Axis(TASK, None, Oil.of("46"), 0.5))
+
+
 def fleet_in(folder):
-    return FleetWatch(Fleet(Axis(TASK, None, Oil.of("46"), 0.5)), folder / "watch.csv")
+    return FleetWatch(FLEET, folder / "watch.csv")
 
 
 def cells(lines):
@@ -70,7 +70,7 @@ def in_csv(lines, values):
     ],
 )
 def test_a_csv_row_holds_its_signals_in_si_and_its_axis(lines):
-    reader = RowReader()
+    reader = RowReader(FLEET)
     assert reader.row(lines[0]) is None
     row = reader.row(lines[1])
     assert (row.axis, row.time) == ("lift", 1.5)
@@ -97,8 +97,8 @@ def test_line_protocol_is_read_with_escaped_names_and_a_map():
 
 def test_what_is_no_row_is_refused_with_its_line():
     with refused("no column has the heading 'command'"):
-        RowReader().row("time [s],position [mm]")
-    reader = RowReader()
+        RowReader(FLEET).row("time [s],position [mm]")
+    reader = RowReader(FLEET)
     reader.row("time [s],position [mm],command [V]")
     for line, what in (("", ""), ("noon,1,2", "line 3: time 'noon': must be a number or")):
         if not what:
@@ -123,43 +123,6 @@ def test_a_slow_reader_holds_the_source_back():
     assert [next(lines) for _ in range(3)] == ["1", "2", "3"]
 
 
-def test_an_address_of_a_broker_is_checked():
-    with refused("must be HOST"):
-        broker("localhost")
-
-
-@pytest.mark.skipif(shutil.which("mosquitto") is None, reason="needs the broker mosquitto")
-def test_rows_come_from_a_broker_that_goes_and_comes_back():
-    publish = pytest.importorskip("paho.mqtt.publish")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-
-    def begun():
-        process = subprocess.Popen(["mosquitto", "-p", str(port)], stderr=subprocess.DEVNULL)
-        for _ in range(100):
-            with suppress(OSError), socket.create_connection(("127.0.0.1", port), 0.1):
-                return process
-            time.sleep(0.05)
-        raise AssertionError("mosquitto does not begin")
-
-    process = begun()
-    lines = lines_of(broker(f"127.0.0.1:{port}/hall/#"))
-    heard = []
-    for sent in ("first\nsecond", "third\nfourth"):
-        for _ in range(30):  # until the client is there, again
-            publish.single("hall/lift", sent, qos=1, hostname="127.0.0.1", port=port)
-            heard.append(next(lines))
-            if heard[-1] in sent.split("\n"):
-                break
-        process.terminate()
-        process.wait()
-        process = begun()
-    process.terminate()
-    process.wait()
-    assert {"first", "third"} <= set(heard)
-
-
 # Axes ----------------------------------------------------------------------------------------------------------------
 
 
@@ -169,7 +132,7 @@ def test_a_leak_of_a_moving_axis_is_told_within_30_s_and_a_healthy_one_is_good(l
     later = in_csv(healthy, np.add(cells(healthy), [32.0, 0, 0, 0, 0, 0]))
     for axis, lines in (("wet", leaking), ("dry", later)):
         tagged = [lines[0] + ",axis", *(f"{line},{axis}" for line in lines[1:])]
-        found[axis] = list(fleet.looks(tagged, RowReader()))
+        found[axis] = list(fleet.looks(tagged))
     wet = [look for look in found["wet"] if look.condition is Condition.MAINTENANCE]
     assert wet[0].time - float(leaking[1].split(",")[0]) <= 30.0
     assert wet[0].cause == "leak past the piston"
@@ -202,7 +165,7 @@ WIRING = {
 @pytest.mark.parametrize("fault", WIRING)
 def test_a_fault_of_the_wiring_is_named_before_an_alarm(fault, healthy, tmp_path):
     rows = WIRING[fault](cells(healthy)[:3000])
-    looks = list(fleet_in(tmp_path).looks(in_csv(healthy, rows), RowReader()))
+    looks = list(fleet_in(tmp_path).looks(in_csv(healthy, rows)))
     assert looks
     assert {look.condition for look in looks} <= {Condition.CHECK, Condition.FAILURE}
     assert all(look.cause for look in looks)
@@ -215,15 +178,15 @@ def test_rows_that_do_not_tell_the_leak_are_never_good(healthy, tmp_path):
     alone[:, 1:5] = np.nan
     slow = rows * [1e-6, 1, 1, 1, 1, 1]
     for given in (alone, np.where(np.isin(np.arange(6), (2, 3)), np.nan, rows), slow):
-        looks = list(fleet_in(tmp_path).looks(in_csv(healthy, given), RowReader()))
+        looks = list(fleet_in(tmp_path).looks(in_csv(healthy, given)))
         assert looks
         assert Condition.GOOD not in {look.condition for look in looks}
-    looks = list(fleet_in(tmp_path).looks(in_csv(healthy, np.concatenate([rows, rows[500:]])), RowReader()))
+    looks = list(fleet_in(tmp_path).looks(in_csv(healthy, np.concatenate([rows, rows[500:]]))))
     assert "the clock was set back" in {look.cause for look in looks}
-    assert not list(fleet_in(tmp_path).looks([*healthy[:3], healthy[0], *healthy[3:6]], RowReader()))
+    assert not list(fleet_in(tmp_path).looks([*healthy[:3], healthy[0], *healthy[3:6]]))
     (tmp_path / "watch.json").write_text('{"axis": {"condition": "fine"}}')
     with refused("memory of hydro watch: axis 'axis'"):
-        list(fleet_in(tmp_path).looks(healthy[:3], RowReader()))
+        list(fleet_in(tmp_path).looks(healthy[:3]))
 
 
 def test_a_source_that_fails_ends_the_watch_with_one_line():
@@ -240,20 +203,20 @@ def test_a_source_that_fails_ends_the_watch_with_one_line():
 def test_an_axis_alone_that_falls_silent_has_no_data(healthy, tmp_path, monkeypatch):
     clock = iter(np.arange(0.0, 1e6, 0.5))
     monkeypatch.setattr("hydro_rig.watching.stream.monotonic", lambda: next(clock))
-    looks = list(fleet_in(tmp_path).looks([*healthy[:1000], *[None] * 60], RowReader()))
+    looks = list(fleet_in(tmp_path).looks([*healthy[:1000], *[None] * 60]))
     assert [look.condition for look in looks] == [Condition.GOOD, Condition.NO_DATA]
     assert json.loads((tmp_path / "watch.json").read_text())["axis"]["condition"] == "no data"
 
 
 def test_a_restart_goes_on_where_it_was(leaking, tmp_path):
-    first = list(fleet_in(tmp_path).looks(leaking[:5400], RowReader()))
+    first = list(fleet_in(tmp_path).looks(leaking[:5400]))
     assert first[-1].condition is Condition.MAINTENANCE
-    second = next(fleet_in(tmp_path).looks([leaking[0], *leaking[5400:]], RowReader()))
+    second = next(fleet_in(tmp_path).looks([leaking[0], *leaking[5400:]]))
     assert (second.condition, second.since) == (Condition.MAINTENANCE, first[-1].since)
     table = read_table(tmp_path / "watch.csv")
     table.loc[table.index[-1], "repaired"] = "new seal"
     write_table(tmp_path / "watch.csv", table)
-    third = next(fleet_in(tmp_path).looks([leaking[0], *leaking[5400:]], RowReader()))
+    third = next(fleet_in(tmp_path).looks([leaking[0], *leaking[5400:]]))
     assert third.condition is not Condition.MAINTENANCE  # a repair ends the alarm
     assert read_table(tmp_path / "watch.csv")["repaired"].tolist()[len(table) - 1] == "new seal"
 
