@@ -46,7 +46,7 @@ class Own(NamedTuple):
 OWN = {
     "leakage_head": Own(HeadDetector.load),
     # Chosen on the validation split.
-    "estimator": Own(lambda: EstimatorDetector({}), every=12.0, lasting=2, wider=1.5),
+    "estimator": Own(lambda: EstimatorDetector(), every=12.0, lasting=2, wider=1.5),
     "two_stage": Own(lambda: TwoStageDetector(HeadDetector.load()), wider=1.5, in_lpm=True),
 }
 

@@ -56,7 +56,7 @@ def test_the_whole_way_finds_the_truth(folder):
     run("identify", printed=False)
     truth, rough = read_rig("hidden_rig.yaml").plant, read_rig("known.yaml").plant
     found = read_json(folder / "found" / "identification.json")
-    assert found["share_of_variance"]["position"] > 0.99
+    assert found["held_back"]["together"]["position_share_of_variance"] > 0.99
     right = []
     for path, unknown in found["unknowns"].items():
         if "." not in path or path.startswith("start.") or not unknown["determined"]:

@@ -90,7 +90,6 @@ class EstimatorDetector:
     negative leak, has the cause ``UNKNOWN``; one with too little motion, ``UNDETERMINED``.
 
     Args:
-        changes: of the task that gives unknowns and priors.
         threads: worker threads; ``None`` takes one per core.
         restarts: further searches for windows that the model does not explain.
     """
@@ -99,11 +98,9 @@ class EstimatorDetector:
 
     def __init__(
         self,
-        changes: Mapping[str, Any] | None = None,
         threads: int | None = 1,
         restarts: int = EstimationSettings().restarts,
     ) -> None:
-        self.changes = dict(changes or {})
         self.settings = EstimationSettings(restarts=restarts, threads=threads)
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
@@ -129,10 +126,9 @@ class EstimatorDetector:
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
             return Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS), None
-        used, expected = windows.part(chosen), task_config(task, **self.changes)
-        names, wear = default_unknowns(expected), wear_priors(expected)
-        worn = self._estimate(used, expected, (*names, *wear), wear)
-        self._with_parts(used, expected, worn, usual)
+        used, names, wear = windows.part(chosen), default_unknowns(task), wear_priors(task)
+        worn = self._estimate(used, task, (*names, *wear), wear)
+        self._with_parts(used, task, worn, usual)
         excess = _excess(worn, task)
         value, deviation = worn.value(LEAKAGE).copy(), worn.deviation(LEAKAGE).copy()
         position = used.signal("position")
@@ -141,7 +137,7 @@ class EstimatorDetector:
         simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still & ~worn.parts.astype(bool))
         if len(simple):
             lap = {name: prior for name, prior in wear.items() if name == LAP}
-            plain = self._estimate(used.part(simple), expected, (*names, LAP), lap, (worn, simple), horizons=())
+            plain = self._estimate(used.part(simple), task, (*names, LAP), lap, (worn, simple), horizons=())
             better = np.flatnonzero(plain.holds)
             value[simple[better]] = plain.value(LEAKAGE)[better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[better]

@@ -24,7 +24,6 @@ from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
     EXTERNAL_RESISTANCE,
-    GAINS,
     LATENCY,
     LEAKAGE,
     STARTS,
@@ -40,7 +39,6 @@ class KnownWindows:
     physical: Floats  # (B, parameters), the true plants with their faults, in the order of PARAMETER_PATHS
     start: Floats  # (B, N_ALL_STATES), true state at the first sample
     latency: Floats  # (B,), s
-    gain: Floats  # (B, channels), reading over true value; 1 for a sound sensor
     bias: Floats  # (B, channels), SI; a fault's offset included
     case: Indices  # (B,), index of the case; failed cases are left out
 
@@ -53,7 +51,7 @@ class KnownWindows:
             return flow
         if name == LATENCY:
             return self.latency
-        for names, values in ((BIASES, self.bias), (GAINS, self.gain), (STARTS, self.start)):
+        for names, values in ((BIASES, self.bias), (STARTS, self.start)):
             if name in names:
                 return values[:, names.index(name)]
         return self.physical[:, PARAMETER_PATHS.index(name)]
@@ -118,7 +116,7 @@ class _Watcher:
                 "physical": np.array([_physical(axes, axis) for axis in range(axes.count)]),
                 "start": axes.complete_state.copy(),
                 "latency": axes.column("latency").copy(),
-                **_sensors(axes),
+                "bias": _biases(axes),
             }
         if self.first <= self._step < self.last:
             self.columns.append(np.column_stack([axes.column("measured")[:, SENSOR_COLUMNS], axes.column("command")]))
@@ -133,13 +131,13 @@ def _physical(axes: Axes, axis: int) -> Floats:
     return vector
 
 
-def _sensors(axes: Axes) -> dict[str, Floats]:
-    """Gain and bias of the sensors of all axes now, (N, sensors) each, faults included."""
-    faults = axes.column("fault")
-    gain, offset = (faults[:, [FAULTS.index(f"{name}_{what}") for name in SENSORS]] for what in ("gain", "offset"))
+def _biases(axes: Axes) -> Floats:
+    """Biases of the sensors of all axes now, (N, sensors), SI, offsets by a fault included."""
+    offset = axes.column("fault")[:, [FAULTS.index(f"{name}_offset") for name in SENSORS]]
     sensors = [getattr(axes.config.sensors, name) for name in SENSORS]
-    spans = np.array([sensor.high - sensor.low for sensor in sensors])
-    return {"gain": 1.0 + gain, "bias": axes.column("bias")[:, SENSOR_COLUMNS] + offset * spans}
+    return np.asarray(
+        axes.column("bias")[:, SENSOR_COLUMNS] + offset * [sensor.high - sensor.low for sensor in sensors]
+    )
 
 
 def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mapping[str, float] | None = None) -> Cases:

@@ -13,6 +13,7 @@ from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import ALL_STATES, N_ALL_STATES, N_STATES, Structure
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
+from hydro_env.task.settings import settings_of
 from hydro_env.types import Floats, Indices
 from hydro_rig.estimation.replay import RISE, Commands, Rows, replay, times, with_all_states
 from hydro_rig.estimation.unknowns import (
@@ -102,7 +103,8 @@ class Model:
             raise ConfigurationError(
                 f"commands: window {window}, sample {sample} = {command[window, sample]:g}: must be within -1 to 1"
             )
-        self.commands = Commands(command, boundary)
+        unrecorded = np.full((count, 2, command.shape[1]), np.nan)
+        self.commands = Commands(command, unrecorded if boundary is None else boundary)
         own = to_vector(config.plant) if physical is None else np.asarray(physical, dtype=np.float64)
         self._physical = np.array(np.broadcast_to(own, (count, len(PARAMETER_PATHS))))
         resting = np.zeros(N_ALL_STATES)
@@ -169,17 +171,16 @@ class Model:
         window = np.repeat(np.arange(self.count), len(scaled) // self.count)
         physical, start = self._physical[window], self._start[window]
         latency = np.full(len(window), self.config.command_latency)
-        lag: Floats | None = None
+        lag = np.full(len(window), float(settings_of(self.config)[0]["pressure_lag"] * self.config.control_period))
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         commands = self.commands.beginning(samples or self.samples)
-        course: Floats | None = None
+        course = np.zeros((len(window), commands.command.shape[1]))
         offset = np.zeros((len(window), 2))
         drift: Floats | float = 0.0
         for name, value in zip(self.names, self.values(scaled).T, strict=True):
             if name.startswith(COURSE):
                 time = times(commands.command.shape[1], self.config)
-                rise = value[:, None] * np.clip(time / KNOTS - int(name.removeprefix(COURSE)) + 1, 0.0, 1.0)
-                course = rise if course is None else course + rise
+                course += value[:, None] * np.clip(time / KNOTS - int(name.removeprefix(COURSE)) + 1, 0.0, 1.0)
             elif name == LEAKAGE:
                 for field, size in leak_past_piston(value, self.config.leakage.law).items():
                     physical[:, PARAMETER_PATHS.index(f"leakage.{field}")] = size

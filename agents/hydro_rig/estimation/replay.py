@@ -19,7 +19,6 @@ from hydro_env.plant.parts.lines import CELLS
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.plant.states import COMPLETE, N_ALL_STATES, RIGID, Structure
 from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS, SPOOL
-from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import lagged
 from hydro_env.types import Floats, Indices
 from hydro_env.units import FULL_VOLTAGE
@@ -55,17 +54,15 @@ class Commands(NamedTuple):
     """The commands of B recorded windows of T samples; see docs/leak_detection.md for the format."""
 
     command: Floats  # (B, T), −1 to 1; column k acts until one latency after sample k
-    boundary: Floats | None = None  # (B, 2, T), recorded supply and tank pressure, Pa; NaN, None: those of the plant
+    boundary: Floats  # (B, 2, T), recorded supply and tank pressure, Pa; NaN: those of the plant
 
     def beginning(self, samples: int) -> Commands:
         """The first samples."""
-        boundary = None if self.boundary is None else self.boundary[:, :, :samples]
-        return Commands(self.command[:, :samples], boundary)
+        return Commands(self.command[:, :samples], np.ascontiguousarray(self.boundary[:, :, :samples]))
 
     def part(self, windows: Indices) -> Commands:
         """Some of the windows."""
-        boundary = None if self.boundary is None else self.boundary[windows]
-        return Commands(self.command[windows], boundary)
+        return Commands(self.command[windows], self.boundary[windows])
 
 
 class Rows(NamedTuple):
@@ -82,9 +79,9 @@ class Rows(NamedTuple):
     """(R,), s, from a sample until its command acts; a negative one, or one beyond the interval to the next sample,
     moves the commands by whole samples."""
 
-    lag: Floats | None = None  # (R,), s, time constant of the pressure transducers; None: that of the task
-    course: Floats | None = None  # (R, T), Pa, added to setting and pressure of the supply; None: 0
-    offset: Floats | None = None  # (R, 2), Pa, of recorded supply and tank pressure: readings minus pressure; None: 0
+    lag: Floats  # (R,), s, time constant of the pressure transducers
+    course: Floats  # (R, T), Pa, added to setting and pressure of the supply
+    offset: Floats  # (R, 2), Pa, of recorded supply and tank pressure: readings minus pressure
 
 
 def times(samples: int, config: TaskConfig) -> Floats:
@@ -105,31 +102,20 @@ def replay(
     They are NaN after a failure of the integration.
 
     Args:
-        config: the task; it sets the integrator's accuracy and the transducers' lag.
+        config: the task; it sets the integrator's accuracy.
         commands: the recorded commands of B windows.
         rows: the plants.
         threads: worker threads; ``None`` takes one per core.
         structure: which parts the plants have.
     """
     count, samples = len(rows.window), commands.command.shape[1]
-    boundary, lag, course, offset = commands.boundary, rows.lag, rows.course, rows.offset
-    if boundary is None:
-        boundary = np.full((len(commands.command), 2, samples), np.nan)
-    if lag is None:
-        lag = np.full(count, float(settings_of(config)[0]["pressure_lag"] * config.control_period))
-    if course is None:
-        course = np.zeros((count, samples))
-    if offset is None:
-        offset = np.zeros((count, 2))
-    recorded = Commands(commands.command, np.ascontiguousarray(boundary))
-    start = with_all_states(np.array(rows.start, np.float64))
-    whole = Rows(rows.window, rows.physical, start, rows.latency, lag, course, offset)
+    whole = rows._replace(start=with_all_states(np.array(rows.start, np.float64)))
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
     readings = np.full((count, len(SENSORS), samples), np.nan)
     run = _replay(structure, structure.lines and config.sensors.pressures_at == "valve")
 
     def part(first: int, last: int) -> None:
-        run(recorded, whole, config.control_period, accuracy, readings, first, last)
+        run(commands, whole, config.control_period, accuracy, readings, first, last)
 
     parts = max(1, min(threads or os.cpu_count() or 1, count // ROWS_PER_THREAD))
     if parts == 1:

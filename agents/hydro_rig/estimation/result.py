@@ -11,14 +11,13 @@ from scipy.special import ndtri
 
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats, Indices, Mask
-from hydro_rig.estimation.errors import Errors
 
 
 @dataclass(frozen=True)
 class Estimate:
     """Estimates of B windows with P unknowns; values in the units of :mod:`hydro_rig.estimation.unknowns`.
 
-    ``deviations`` and ``covariance`` are valid where ``holds`` is true. Elsewhere the model does not explain the
+    ``deviations`` are valid where ``holds`` is true. Elsewhere the model does not explain the
     readings, or the search ended in a local minimum; the values are then unreliable.
 
     ``white``, ``slow``, ``spikes``, ``latency`` and ``rise_time`` are those of the data sheet, unless the readings
@@ -28,7 +27,6 @@ class Estimate:
     names: tuple[str, ...]
     values: Floats  # (B, P), most probable values
     deviations: Floats  # (B, P), standard deviations
-    covariance: Floats  # (B, P, P)
     remaining: Floats  # (B, P), standard deviation over the prior's, both of the scaled unknown
     chi2_per_sample: Floats  # (B,), about 1 if readings and model differ only by noise
     misfit: Floats  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
@@ -55,11 +53,6 @@ class Estimate:
         """Standard deviations of one unknown, (B,)."""
         return self.deviations[:, self._place(name)]
 
-    @property
-    def errors(self) -> Errors:
-        """Those of the readings."""
-        return Errors(self.white, self.slow, self.memory)
-
     def interval(self, name: str, coverage: float = 0.9) -> tuple[Floats, Floats]:
         """Lower and upper end, (B,) each, of the interval that covers the true value with probability ``coverage``."""
         reach = ndtri(0.5 + 0.5 * coverage) * self.deviation(name)
@@ -67,8 +60,6 @@ class Estimate:
 
     def widen(self, scaled: Floats, scale: Floats) -> None:
         """Add a difference of scaled values, (B, P), to the uncertainty; ``scale``: value per scaled value, (B, P)."""
-        square = scaled[:, :, None] * scaled[:, None]
-        self.covariance[:] += square * scale[:, :, None] * scale[:, None]
         self.deviations[:] = np.hypot(self.deviations, scaled * scale)
         self.remaining[:] = np.hypot(self.remaining, scaled)
 

@@ -177,7 +177,6 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
         names=model.names,
         values=values,
         deviations=deviation * scale,
-        covariance=doubtful * scale[:, :, None] * scale[:, None, :],
         remaining=deviation,
         chi2_per_sample=chi2 / np.maximum(linear.known.sum(axis=(1, 2)), 1),
         misfit=misfit,

@@ -4,8 +4,8 @@ Names: ``leakage_flow_lpm`` and ``external_leakage_flow_lpm`` (l/min at 100 bar)
 (``valve.rated_flow``), ``command_latency`` (s), ``pressure_rise_time`` (of the transducers, s), ``start.`` and a
 state (``start.velocity``), a sensor and ``_bias`` (its unit) or ``_gain`` (relative, 1: none). SI units otherwise.
 
-Priors: the ranges of the task become normal distributions with the same mean and variance; that of a positive quantity
-is log-normal.
+Priors: the ranges of the task, without its faults, become normal distributions with the same mean and variance; that of
+a positive quantity is log-normal.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.plant.parts.leakage import ROD_SEAL
 from hydro_env.plant.states import ALL_STATES
-from hydro_env.task.faults import SIGNED_KINDS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
 from hydro_env.task.sensors import PRESSURE_A, SENSORS
 from hydro_env.units import flow_from_resistance
@@ -61,17 +60,6 @@ _NOT_DRAWN = {
     EXTERNAL_LEAKAGE: 0.1,
 }
 """Standard deviation of unknowns that the task does not draw and that may be 0, in the unknown's unit."""
-
-_FAULT_OF = {
-    "valve.null_shift": "valve_null_shift",
-    "valve.underlap": "valve_underlap",
-    "valve.rated_flow": "valve_flow",
-    "supply.tank_pressure": "tank_pressure",
-    EXTERNAL_LEAKAGE: "external_leak",
-    **dict.fromkeys(BIASES, "sensor_offset"),
-    **dict.fromkeys(GAINS, "sensor_gain"),
-}
-"""Kind of fault that changes an unknown."""
 
 
 @dataclass(frozen=True)
@@ -114,12 +102,10 @@ def course_of(duration: float) -> tuple[str, ...]:
 
 
 def default_unknowns(config: TaskConfig) -> tuple[str, ...]:
-    """All quantities that an episode draws, including faults, and the start: leaks, plant, biases, start states."""
-    faults, drawn = config.faults, config.randomisation
+    """All quantities that an episode draws, but faults, and the start: leaks, plant, biases, start states."""
+    drawn = config.randomisation
     others = {
-        EXTERNAL_LEAKAGE: EXTERNAL_RESISTANCE in drawn or faults.external_leak.probability > 0.0,
-        "valve.null_shift": faults.valve_null_shift.probability > 0.0,
-        "supply.tank_pressure": faults.tank_pressure.probability > 0.0,
+        EXTERNAL_LEAKAGE: EXTERNAL_RESISTANCE in drawn,
         "load.external_force": config.disturbance.kind != "none" or config.disturbance.steady_share[1] > 0.0,
         LATENCY: config.command_latency_range is not None,
         **dict.fromkeys(BIASES, config.sensors.enabled),
@@ -174,15 +160,12 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
     if name in BIASES:
         sensor = getattr(config.sensors, name.removesuffix("_bias"))
         span = sensor.high - sensor.low
-        bias = _with_fault(config, name, _range(-sensor.bias, sensor.bias), span)
-        return Prior(bias.mean, max(math.sqrt(bias.variance), 1e-9 * span))
+        return Prior(0.0, max(math.sqrt(_range(-sensor.bias, sensor.bias).variance), 1e-9 * span))
     if name in RECORDED_BIASES:  # a transducer like that of chamber a
         return Prior(0.0, prior_of(config, BIASES[PRESSURE_A]).deviation)
     if name in GAINS:
         # The scale of a difference is often known from its amplifier alone.
-        deviation = 0.1 if config.sensors.differential_pressure else 0.01
-        gain = _with_fault(config, name, _Moments(1.0, deviation**2), 1.0)
-        return Prior(gain.mean, math.sqrt(gain.variance))
+        return Prior(1.0, 0.1 if config.sensors.differential_pressure else 0.01)
     if name == EXTERNAL_LEAKAGE or name in PATHS:
         moments, drawn = _of_plant(config, name), config.randomisation.get(name)
         if moments.mean > 0.0 and name not in _NOT_DRAWN and (drawn is None or drawn.otherwise is None):
@@ -206,37 +189,19 @@ def _of_plant(config: TaskConfig, name: str) -> _Moments:
             f"unknowns: '{name}' is infinite on this rig: give a prior, or a finite value in the rig file"
         )
     if drawn is None:
-        result = _Moments(value, _NOT_DRAWN.get(name, max(abs(value) * _SHARE_UNKNOWN, 1e-9)) ** 2)
-    else:
-        low, high = drawn.bounds(own)
-        otherwise = drawn.otherwise
-        if name == EXTERNAL_LEAKAGE:
-            low, high = flow_from_resistance(high), flow_from_resistance(low)
-            otherwise = None if otherwise is None else flow_from_resistance(otherwise)
-        result = _range(low, high, drawn.logarithmic)
-        if drawn.times is not None:
-            result = _product(result, _of_plant(config, drawn.times))
-        if otherwise is not None:
-            result = _mixture(drawn.otherwise_probability, _Moments(otherwise, 0.0), result)
-        # An unknown needs a range, even if the task draws a single value.
-        result = _Moments(result.mean, max(result.variance, (1e-4 * result.mean) ** 2, 1e-18))
-    return _with_fault(config, name, result, value if name == "valve.rated_flow" else 1.0)
-
-
-def _with_fault(config: TaskConfig, name: str, healthy: _Moments, unit: float) -> _Moments:
-    """Moments of a quantity including the task's fault of this kind, if any; ``unit``: effect of a magnitude of 1."""
-    kind = _FAULT_OF.get(name, "")
-    fault = getattr(config.faults, kind, None)
-    if fault is None or fault.probability == 0.0:
-        return healthy
-    sensors, share = getattr(fault, "sensors", None), fault.probability
-    if sensors is not None:
-        share *= (name.rpartition("_")[0] in sensors) / len(sensors)
-    size = _range(*fault.range)
-    if kind in SIGNED_KINDS:
-        size = _Moments(0.0, size.variance + size.mean**2)
-    added = _mixture(share, _Moments(unit * size.mean, unit**2 * size.variance), _Moments(0.0, 0.0))
-    return _Moments(healthy.mean + added.mean, healthy.variance + added.variance)
+        return _Moments(value, _NOT_DRAWN.get(name, max(abs(value) * _SHARE_UNKNOWN, 1e-9)) ** 2)
+    low, high = drawn.bounds(own)
+    otherwise = drawn.otherwise
+    if name == EXTERNAL_LEAKAGE:
+        low, high = flow_from_resistance(high), flow_from_resistance(low)
+        otherwise = None if otherwise is None else flow_from_resistance(otherwise)
+    result = _range(low, high, drawn.logarithmic)
+    if drawn.times is not None:
+        result = _product(result, _of_plant(config, drawn.times))
+    if otherwise is not None:
+        result = _mixture(drawn.otherwise_probability, otherwise, result)
+    # An unknown needs a range, even if the task draws a single value.
+    return _Moments(result.mean, max(result.variance, (1e-4 * result.mean) ** 2, 1e-18))
 
 
 def _range(low: float, high: float, logarithmic: bool = False) -> _Moments:
@@ -255,11 +220,10 @@ def _product(a: _Moments, b: _Moments) -> _Moments:
     return _Moments(a.mean * b.mean, a.mean**2 * b.variance + b.mean**2 * a.variance + a.variance * b.variance)
 
 
-def _mixture(share: float, first: _Moments, second: _Moments) -> _Moments:
-    """Moments of a mixture: the first with probability ``share``, else the second."""
-    mean = share * first.mean + (1.0 - share) * second.mean
-    parts = ((share, first), (1.0 - share, second))
-    return _Moments(mean, sum(part * (m.variance + (m.mean - mean) ** 2) for part, m in parts))
+def _mixture(share: float, fixed: float, drawn: _Moments) -> _Moments:
+    """Moments of a mixture: a fixed value with probability ``share``, else a drawn one."""
+    rest = 1.0 - share
+    return _Moments(share * fixed + rest * drawn.mean, rest * (drawn.variance + share * (drawn.mean - fixed) ** 2))
 
 
 def _start(config: TaskConfig, state: str) -> Prior:

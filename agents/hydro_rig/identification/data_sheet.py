@@ -13,6 +13,7 @@ import numpy as np
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.estimation.errors import NOISY, SLOW
 from hydro_rig.estimation.model import noise_of
 from hydro_rig.estimation.result import Estimate
@@ -40,17 +41,11 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
     for part, count in Counter(part for parts in found.parts for part in parts).items():
         if count >= MOST_DIFFER * len(found):
             odd.append(("model", f"shows {part} that the assumed rig lacks"))
-    latency, rise = float(np.median(used.latency)), max(float(np.median(used.rise_time)), 0.0)
-    if abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period:
-        odd.append(("command", f"acts {_ms(latency)} after its row, and not {_ms(task.command_latency)} ({LATENCY})"))
-    usual = task.sensors.pressure_rise_time
-    if abs(rise - usual) > RISE_TIME_CHANGE:
-        odd.append(("pressures", f"rise within {_ms(rise)}, and not {_ms(usual)} ({RISE_TIME})"))
+    latency, rise_time = float(np.median(used.latency)), float(np.median(used.rise_time))
+    odd += off_the_sheet(latency, rise_time, np.median(used.white, axis=0), task)
     spiky = []
     for channel, name in enumerate(SENSORS):
-        white, slow, spikes = (float(np.median(part[:, channel])) for part in (used.white, used.slow, used.spikes))
-        if not LESS <= white <= NOISY:
-            odd.append((name, f"scatters {number(white, 1)} times its data sheet"))
+        slow, spikes = (float(np.median(part[:, channel])) for part in (used.slow, used.spikes))
         if slow > SLOW:
             odd.append((name, f"differs slowly from the model, by {_size(channel, slow, task)}"))
         if spikes > SPIKES:
@@ -59,6 +54,20 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
     if found.holds.any() and found.of_model[found.holds].mean() >= MOST_DIFFER:
         findings.append(Finding("model", "differs slowly from several signals, which can hide a leak", Weight.DOUBT))
     return findings
+
+
+def off_the_sheet(latency: float, rise_time: float, white: Floats, task: TaskConfig) -> list[tuple[str, str]]:
+    """Signals whose timing (s) or white noise, (channels,) over that of the data sheet, is another, and how."""
+    odd: list[tuple[str, str]] = []
+    if abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period:
+        odd.append(("command", f"acts {_ms(latency)} after its row, and not {_ms(task.command_latency)} ({LATENCY})"))
+    rise_time, usual = max(rise_time, 0.0), task.sensors.pressure_rise_time
+    if abs(rise_time - usual) > RISE_TIME_CHANGE:
+        odd.append(("pressures", f"rise within {_ms(rise_time)}, and not {_ms(usual)} ({RISE_TIME})"))
+    for name, noise in zip(SENSORS, white.tolist(), strict=True):
+        if not LESS <= noise <= NOISY:
+            odd.append((name, f"scatters {number(noise, 1)} times its data sheet"))
+    return odd
 
 
 def worst_signal(found: Estimate, task: TaskConfig) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,9 @@ from hydro_agents.running.machine import Origin
 from hydro_env import ConfigurationError, __version__
 from hydro_env.files import read_yaml, write_text
 from hydro_env.task.sensors import SENSORS
-from hydro_env.types import Floats
 from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_rig.identification.found_rig import rig_yaml
+from hydro_rig.identification.held_back import Forecast
 from hydro_rig.identification.identification_page import identification_page
 from hydro_rig.identification.identify import Identification
 from hydro_rig.recordings.findings import lines_of
@@ -57,8 +56,11 @@ def as_json(found: Identification, command: str) -> Any:
     """The result for programs; SI units, leaks in l/min at 100 bar; ``None`` if there is no number."""
     fit, sources = found.fit, [recording.source for recording in found.recordings]
 
-    def by_sensor(values: Floats, what: str = "") -> dict[str, float]:
-        return {f"{name}{what}": value for name, value in zip(SENSORS, values.tolist(), strict=True)}
+    def sizes(test: Forecast) -> dict[str, float]:
+        found = {"speed_rms": test.speed_error}
+        for place, name in enumerate(SENSORS):
+            found |= {f"{name}_share_of_variance": test.share[place], f"{name}_rms": test.error[place]}
+        return found
 
     unknowns = {}
     for one in fit.unknowns:
@@ -66,14 +68,9 @@ def as_json(found: Identification, command: str) -> Any:
         unknowns[one.name] = one._asdict() | {"unit": unit, "determined": fit.knows(one)}
     parts = []
     for part in found.held_back:
-        errors, (out, back) = part.whole, part.speed_ratios
+        out, back = part.speed_ratios
         place = {"recording": sources[part.recording], "from_s": part.begin, "to_s": part.begin + float(part.time[-1])}
-        shares = {"share_of_variance": by_sensor(errors.share), "speed_rms": errors.speed_error}
-        parts.append(place | shares | by_sensor(errors.error, "_rms") | {"speed_out": out, "speed_in": back})
-    forecasts = []
-    for over, forecast in found.tested.items():
-        sizes = by_sensor(forecast.share, "_share_of_variance") | by_sensor(forecast.error, "_rms")
-        forecasts.append({"over_s": over, "speed_rms": forecast.speed_error} | sizes)
+        parts.append(place | sizes(part.whole) | {"speed_out": out, "speed_in": back})
     whole = {
         "command": command,
         "hydro_env": __version__,
@@ -81,9 +78,8 @@ def as_json(found: Identification, command: str) -> Any:
         "rig": found.rig.source,
         "describes": found.describes,
         "verdict": found.verdict(),
-        "share_of_variance": by_sensor(found.tested[math.inf].share),
-        "forecasts": forecasts,
-        "held_back": {"why": found.parts.reason, "parts": parts},
+        "held_back": {"why": found.parts.reason, "parts": parts, "together": sizes(found.whole)},
+        "over_2_s": None if found.ahead is None else sizes(found.ahead),
         "windows": len(fit.misfit),
         "windows_explained": int(fit.explained.sum()),
         "unknowns": unknowns,

@@ -24,7 +24,7 @@ from hydro_rig.estimation.unknowns import (
     priors_of,
     starts_of,
 )
-from hydro_rig.identification.common_fit import WELL_FITTED, Common, Joint, common_fit
+from hydro_rig.identification.common_fit import WELL_FITTED, Common, common_fit
 from hydro_rig.identification.intervals import possible_ends, range_ends, spread_of, truncated_end, within_bounds
 
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
@@ -48,23 +48,12 @@ class Fit(NamedTuple):
 
     unknowns: tuple[Unknown, ...]  # (p,)
     misfit: Floats  # (B,), of each window; infinite for a window that was left out
-    joint: Joint  # the common fit of the other windows
     noise: Floats = np.ones(len(SENSORS))  # (channels,), over that of the data sheet
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the unknowns."""
-        return tuple(one.name for one in self.unknowns)
 
     @property
     def explained(self) -> Mask:
         """Whether the model explains the readings of each window within the sensors' noise, (B,)."""
         return np.asarray(self.misfit < WELL_FITTED)
-
-    @property
-    def widening(self) -> Floats:
-        """Of each unknown, (p,)."""
-        return np.array([one.widening for one in self.unknowns])
 
     def knows(self, unknown: Unknown) -> bool:
         """Whether the recording determines an unknown.
@@ -122,7 +111,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
             high = truncated_end(value, low, high)
         value, low, high = (within_bounds(config.plant, name, end) for end in (value, low, high))
         unknowns.append(Unknown(name, value, low, high, left, float(spread.widening[row])))
-    return Fit(tuple(unknowns), common.misfit, joint, common.noise)
+    return Fit(tuple(unknowns), common.misfit, common.noise)
 
 
 def _beside(value: float, flat: Mask, own: float) -> float:

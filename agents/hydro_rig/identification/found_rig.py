@@ -33,11 +33,6 @@ DIGITS = 6  # significant, of the numbers in the file
 _BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
 
 
-def path_of(name: str) -> str:
-    """Path of the rig's parameter for an unknown."""
-    return EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
-
-
 def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
     """Values of the rig's parameters by path, within the bounds of each field; a negative leak becomes none."""
     values: dict[str, float] = {}
@@ -76,7 +71,7 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
     result: dict[str, dict[str, Any]] = {}
     plant = found_plant(fit, config)
     for one in fit.unknowns:
-        path = path_of(one.name)
+        path = EXTERNAL_RESISTANCE if one.name == EXTERNAL_LEAKAGE else one.name
         if path not in ranges:
             continue
         given = ranges[path]
@@ -91,10 +86,8 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
             low, high = (within_bounds(plant, path, end) for end in (low, high))
             if given.times is not None:  # a ratio is never below the old one: breakaway stays above Coulomb friction
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
-                ratios = _rounded((max(low / factor, least), max(high / factor, least)))
-                result[path] = {"uniform": ratios, "times": given.times}
-            else:
-                result[path] = {"uniform": _rounded((low, high))}
+                low, high = max(low / factor, least), max(high / factor, least)
+            result[path] = {"uniform": [low, high]} | ({} if given.times is None else {"times": given.times})
     return result
 
 
@@ -115,7 +108,7 @@ def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dic
         return given.model_dump(exclude_defaults=True)
     form = "log_uniform" if given.logarithmic else "uniform"
     rest = given.model_dump(exclude_defaults=True, exclude={"factor", "log_factor"})
-    return {form: _rounded(given.bounds(own_value(plant, path))), **rest}
+    return {form: list(given.bounds(own_value(plant, path))), **rest}
 
 
 def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
@@ -123,25 +116,13 @@ def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
     least, most = sorted(given.bounds(1.0))
     ends = tuple(resistance_from_flow(max(flow, 0.0)) for flow in (high, low))
     if ends[0] > most:  # tight
-        return {"log_uniform": _rounded((least, most)), "otherwise": math.inf, "otherwise_probability": 1.0}
+        return {"log_uniform": [least, most], "otherwise": math.inf, "otherwise_probability": 1.0}
     if ends[1] >= least:  # else it leaks more than the old range allows
         ends = max(ends[0], least), min(ends[1], most)
-    found: dict[str, Any] = {"log_uniform": _rounded((ends[0], ends[1]))}
+    found: dict[str, Any] = {"log_uniform": list(ends)}
     if low <= 0.0 and given.otherwise is not None:  # it may be tight
         found |= {"otherwise": given.otherwise, "otherwise_probability": given.otherwise_probability}
     return found
-
-
-def _rounded(ends: tuple[float, float]) -> list[float]:
-    """Both ends with DIGITS significant digits, rounded outwards."""
-    rounded = []
-    for value, outwards in zip(ends, (math.floor, math.ceil), strict=True):
-        if value != 0.0 and math.isfinite(value):
-            unit = 10.0 ** (math.floor(math.log10(abs(value))) - DIGITS + 1)
-            nearly = 1e-6 if outwards is math.floor else -1e-6  # of a digit: without further digits it stays unchanged
-            value = float(f"{outwards(value / unit + nearly) * unit:.{DIGITS}g}")
-        rounded.append(value)
-    return rounded
 
 
 def rig_yaml(
@@ -159,8 +140,8 @@ def rig_yaml(
     values["randomisation"] = narrowed(fit, config, ranges)
     for path, entry in values["randomisation"].items():
         for key, value in entry.items():
-            if "times" not in entry and not key.endswith("probability"):
-                entry[key] = _with_unit(path, value)
+            ratio = "times" in entry or key.endswith("probability")
+            entry[key] = _with_unit("" if ratio else path, value)
     lines = [f"# {' '.join(note.split())}" for note in notes]
     for key, content in values.items():
         if not isinstance(content, Mapping):
@@ -183,7 +164,7 @@ def _with_unit(path: str, value: Any) -> Any:
         return [_with_unit(path, end) for end in value]
     if not isinstance(value, float) or math.isinf(value):
         return value
-    unit = unit_in_file(path)
+    unit = unit_in_file(path) if path else ""
     number = float(f"{value / FACTORS.get(unit, 1.0):.{DIGITS}g}")
     return f"{number:.{DIGITS}g} {unit}" if unit else number
 

@@ -18,10 +18,10 @@ from hydro_rig.estimation.model import Model, noise_of
 from hydro_rig.estimation.unknowns import BIASES, GAINS, LATENCY, NULL_DRIFT, RISE_TIME, Prior, priors_of, starts_of
 from hydro_rig.recordings.parts import Stretch
 
-HORIZONS = (0.5, 2.0, 10.0)
-"""Times in s over which forecasts from the measured state are judged, besides the whole held-back part."""
+JUDGED_OVER = 2.0
+"""s, over which forecasts from the measured state are judged, beside the whole held-back part. They decide where errors
+add up, because nothing holds the axis."""
 
-JUDGED_OVER = 2.0  # s; the forecast that decides where errors add up, because nothing holds the axis
 FORECAST_EVERY = 2.0  # s, from the beginning of a forecast to that of the next
 FORECAST_FROM = 2.0  # s before a forecast, which show its state and how far the null of the valve has wandered
 
@@ -52,7 +52,7 @@ class HeldBack(NamedTuple):
     measured: Floats  # (channels, T), SI
     simulated: Floats  # (channels, T), SI, biases included
     moves: Mask  # (channels,), whether a channel moves so far that its share of variance has a meaning
-    forecasts: Floats = NO_FORECASTS  # (2, N, channels, T'), measured and simulated from N measured states, SI
+    forecasts: Floats = NO_FORECASTS  # (2, N, channels, T'), measured and simulated over JUDGED_OVER, SI
 
     @property
     def whole(self) -> Forecast:
@@ -123,24 +123,20 @@ class _Rig(NamedTuple):
     timing: Mapping[str, Prior]  # found timing and gains, where those of the task do not hold
 
     def forecasts(self, signals: Floats, edge: Floats | None) -> Floats:
-        """Measured and simulated readings of forecasts from states along a part, (2, N, channels, T).
-
-        What lies beyond the end of the part is NaN.
-        """
-        period, total = self.config.control_period, signals.shape[1]
+        """Measured and simulated readings of forecasts from states along a part, (2, N, channels, T)."""
+        period = self.config.control_period
         count = round(FORECAST_FROM / period)
+        whole = count + round(JUDGED_OVER / period)
         known = np.isfinite(signals[POSITION])
-        last = total - count - round(HORIZONS[0] / period)
-        starts = [k for k in range(0, last, round(FORECAST_EVERY / period)) if known[k : k + count].mean() > 0.5]
+        places = range(0, signals.shape[1] - whole + 1, round(FORECAST_EVERY / period))
+        starts = [k for k in places if known[k : k + count].mean() > 0.5]
         if not starts:
             return NO_FORECASTS
-        places = np.array(starts)[:, None] + np.arange(min(count + round(HORIZONS[-1] / period), total))
-        inside = np.minimum(places, total - 1)
+        inside = np.array(starts)[:, None] + np.arange(whole)
         windows = np.moveaxis(signals[:, inside], 0, 1)
         boundary = None if edge is None else np.moveaxis(edge[:, inside], 0, 1)
-        measured = np.where((places < total)[:, None], windows[:, : len(SENSORS)], np.nan)
         read = self.simulated(windows, boundary, count, NULL_DRIFT)
-        return np.stack([measured, np.where(np.isfinite(measured), read, np.nan)])[..., count:]
+        return np.stack([windows[:, : len(SENSORS)], read])[..., count:]
 
     def simulated(self, windows: Floats, boundary: Floats | None, count: int, *more: str) -> Floats:
         """Readings (N, channels, T) of windows (N, 5, T), simulated from what their first ``count`` periods say.
@@ -159,13 +155,9 @@ class _Rig(NamedTuple):
         return readings
 
 
-def forecast_over(parts: Sequence[HeldBack], seconds: float) -> Forecast | None:
-    """All forecasts over ``seconds`` together; ``None``: no part is so long."""
-    pieces = []
-    for part in parts:
-        count = round(seconds / part.period)
-        if part.forecasts.shape[3] >= count:
-            pieces.append((part, part.forecasts[..., :count]))
+def forecast(parts: Sequence[HeldBack]) -> Forecast | None:
+    """All forecasts over JUDGED_OVER together; ``None``: no part is so long."""
+    pieces = [(part, part.forecasts) for part in parts if part.forecasts.size]
     return _judged(pieces) if pieces else None
 
 

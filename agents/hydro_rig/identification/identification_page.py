@@ -16,8 +16,8 @@ from hydro_env import PlantParameters
 from hydro_env.folders import page as page_address
 from hydro_env.task.sensors import POSITION
 from hydro_env.units import UNITS
-from hydro_rig.identification.found_rig import share_in_words
-from hydro_rig.identification.held_back import HeldBack, sizes_of
+from hydro_rig.identification.found_rig import share_in_words, shown
+from hydro_rig.identification.held_back import JUDGED_OVER, HeldBack, sizes_of
 from hydro_rig.identification.identify import Identification
 from hydro_rig.recordings.findings import Finding
 
@@ -92,10 +92,10 @@ def held_back(page: Page, found: Identification) -> None:
     )
     page.figure(held_back_axes(worst), f"The held-back part with the largest error: {place_of_part(found, worst)}")
     rows = {}
-    for over, forecast in found.tested.items():
-        shares = ["–" if math.isnan(share) else share_in_words(share) for share in forecast.share.tolist()]
-        sizes = [number(size, digits=2) for size in sizes_of(forecast)]
-        rows[f"{over:g} s" if math.isfinite(over) else "the whole part"] = [*sizes, *shares]
+    for over, test in ((f"{JUDGED_OVER:g} s", found.ahead), ("the whole part", found.whole)):
+        if test is not None:
+            shares = ["–" if math.isnan(share) else share_in_words(share) for share in test.share.tolist()]
+            rows[over] = [*(number(size, digits=2) for size in sizes_of(test)), *shares]
     frame = pd.DataFrame.from_dict(rows, orient="index", columns=(*ERRORS, *SHARES))
     page.table(frame, "Root mean square error, and share of the variance explained, by the simulated time")
 
@@ -118,7 +118,7 @@ def unknowns_table(found: Identification) -> pd.DataFrame:
     """Each unknown: its value, its interval, and whether it is determined."""
     rows = {}
     for one in found.fit.unknowns:
-        look = found.look(one.name)
+        look = shown(one.name)
         rows[f"{look.words}, {look.unit}"] = {
             "found": look.value(one.value, one.high - one.low),
             "95 % interval": look.span(one.low, one.high),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
 
@@ -14,22 +13,21 @@ import numpy as np
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.rig import Rig
-from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
+from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
-from hydro_rig.identification.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
+from hydro_rig.identification.data_sheet import off_the_sheet
 from hydro_rig.identification.fit import Fit, Unknown, fit_windows
-from hydro_rig.identification.found_rig import Shown, beyond_range, found_plant, share_in_words, shown
+from hydro_rig.identification.found_rig import beyond_range, found_plant, share_in_words, shown
 from hydro_rig.identification.held_back import (
-    HORIZONS,
     JUDGED_OVER,
     Forecast,
     HeldBack,
     errors_in_words,
-    forecast_over,
+    forecast,
     simulate_held_back,
     whole_parts,
 )
-from hydro_rig.recordings.columns import ColumnMap
+from hydro_rig.recordings.columns import ColumnMap, matching
 from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.parts import Parts, parts_of
 from hydro_rig.recordings.quality import Checked, check_recording
@@ -63,32 +61,31 @@ class Identification:
     held_back: list[HeldBack]
 
     @cached_property
-    def tested(self) -> dict[float, Forecast]:
-        """The test on the held-back parts by time in s from a measured state; infinite: each part as a whole."""
-        tested = {}
-        for seconds in HORIZONS:
-            forecast = forecast_over(self.held_back, seconds)
-            if forecast is not None:
-                tested[seconds] = forecast
-        tested[math.inf] = whole_parts(self.held_back)
-        return tested
+    def whole(self) -> Forecast:
+        """The test on each held-back part as a whole."""
+        return whole_parts(self.held_back)
+
+    @cached_property
+    def ahead(self) -> Forecast | None:
+        """The test over JUDGED_OVER from measured states of the held-back parts; ``None``: they are too short."""
+        return forecast(self.held_back)
 
     @property
-    def judged_over(self) -> float:
-        """Time in s that decides: infinite, each part as a whole, if the model explains that; otherwise 2 s.
+    def decisive(self) -> Forecast:
+        """The test that decides: each part as a whole if the model explains that; otherwise the forecasts.
 
         Nothing holds an axis under control in place once it is simulated with the commands alone: the smallest error of
         the null adds up.
         """
-        whole, ahead = self.tested[math.inf], self.tested.get(JUDGED_OVER)
+        whole, ahead = self.whole, self.ahead
         if ahead is not None and whole.share[POSITION] < LEAST_EXPLAINED <= ahead.share[POSITION]:
-            return JUDGED_OVER
-        return math.inf
+            return ahead
+        return whole
 
     @property
     def share(self) -> float:
         """Share of the position's variance that is explained on the held-back part; NaN if the axis stood still."""
-        return float(self.tested[self.judged_over].share[POSITION])
+        return float(self.decisive.share[POSITION])
 
     @property
     def findings(self) -> list[Finding]:
@@ -120,11 +117,7 @@ class Identification:
     @cached_property
     def beyond(self) -> list[str]:
         """Parameters with values outside their ranges, as text."""
-        return [self.look(name).words for name in beyond_range(self.fit, self.config, self.rig.randomisation)]
-
-    def look(self, name: str) -> Shown:
-        """Display of an unknown."""
-        return shown(name)
+        return [shown(name).words for name in beyond_range(self.fit, self.config, self.rig.randomisation)]
 
     @property
     def noted(self) -> list[str]:
@@ -135,30 +128,23 @@ class Identification:
                 "The rig file gives no ranges: only the leak and the sensors' offsets were fitted. Write a range for "
                 "each unknown value in its group randomisation."
             )
-        timing = (
-            (LATENCY, config.command_latency, LATENCY_CHANGE * config.control_period),
-            (RISE_TIME, config.sensors.pressure_rise_time, RISE_TIME_CHANGE),
-        )
-        for name, assumed, least in timing:
-            value = fit.own().get(name, assumed)
-            if abs(value - assumed) > least:
-                notes.append(
-                    f"The {self.look(name).words} is {1e3 * value:.2g} ms, not {1e3 * assumed:.2g} ms ({name}): used."
-                )
-        for name, noise in zip(SENSORS, fit.noise.tolist(), strict=True):
-            if noise > 1.0:
-                notes.append(f"{name} scatters {noise:.2g} times its data sheet: used.")
+        own = fit.own()
+        latency = own.get(LATENCY, config.command_latency)
+        rise_time = own.get(RISE_TIME, config.sensors.pressure_rise_time)
+        for signal, what in off_the_sheet(latency, rise_time, fit.noise, config):
+            notes.append(f"{signal} {what}: used.")
         if self.beyond:
             notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
-        if self.beyond == [self.look(RATED_FLOW).words]:
+        if self.beyond == [shown(RATED_FLOW).words]:
             notes.append(
                 "Only the rated flow over the root of the rated pressure drop acts: a wrong drop in the file gives "
                 "another flow, and no other value changes. Check both against the valve's data sheet."
             )
         if fit.explained.mean() < 0.5:
+            widening = float(np.median([one.widening for one in fit.unknowns]))
             notes.append(
                 f"The model explains {fit.explained.sum()} of {len(fit.misfit)} windows to within the sensors' noise. "
-                f"The intervals are wider (factor {float(np.median(fit.widening)):.2g}), but may still be too narrow."
+                f"The intervals are wider (factor {widening:.2g}), but may still be too narrow."
             )
         return notes
 
@@ -183,9 +169,9 @@ class Identification:
         outcome = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
         if math.isnan(self.share):
             outcome = "the axis stood still on the held-back part"
-        if math.isfinite(self.judged_over):
-            outcome += f" over {self.judged_over:g} s from a measured state (over all of it the errors add up)"
-        errors = errors_in_words(self.tested[self.judged_over])
+        if self.decisive is self.ahead:
+            outcome += f" over {JUDGED_OVER:g} s from a measured state (over all of it the errors add up)"
+        errors = errors_in_words(self.decisive)
         phrases = [f"{count - len(self.undetermined)} of {count} unknowns determined", outcome]
         if self.unexplained:
             phrases.insert(0, UNEXPLAINED)
@@ -218,7 +204,10 @@ def identify(
     for source in sources:
         if sources.count(source) > 1:
             raise ConfigurationError(f"{source}: is given twice")
-    whole = _matching(paths, hold_back)
+    apart = {path for pattern in hold_back for path in matching(paths, pattern, "--hold-back")}
+    if len(apart) == len(paths):
+        raise ConfigurationError("--hold-back: matches every recording; nothing is left for the fit")
+    whole = {number for number, path in enumerate(paths) if path in apart}
     recordings = [read_recording(path, own) for path, own in zip(paths, maps or [None] * len(paths), strict=True)]
     checked = _on_one_grid(recordings, config)
     for source, one in zip(sources, checked, strict=True):
@@ -253,19 +242,6 @@ def _with_bent_valve(config: TaskConfig, rig: Rig, parts: Parts) -> tuple[TaskCo
     low, high = (knee * factor for factor in BEND)
     ranges = rig.randomisation | {KNEE_OPENING: Distribution(uniform=(low, high))}
     return config.model_copy(update={"plant": plant}), rig._replace(randomisation=ranges)
-
-
-def _matching(paths: Sequence[Path], patterns: Sequence[str]) -> set[int]:
-    """Numbers of the paths whose name, or which as a whole, match one of the patterns."""
-    found: set[int] = set()
-    for pattern in patterns:
-        own = {k for k, path in enumerate(paths) if fnmatch(path.name, pattern) or fnmatch(str(path), pattern)}
-        if not own:
-            raise ConfigurationError(f"--hold-back {pattern}: matches none of the recordings, such as {paths[0].name}")
-        found |= own
-    if len(found) == len(paths):
-        raise ConfigurationError("--hold-back: matches every recording; nothing is left for the fit")
-    return found
 
 
 def _on_one_grid(recordings: Sequence[Recording], config: TaskConfig) -> list[Checked]:

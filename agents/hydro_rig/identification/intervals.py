@@ -42,8 +42,7 @@ limit may favour it by chance, and then all larger values are as likely."""
 class Spread(NamedTuple):
     """Uncertainty of the p common unknowns, scaled by their ranges."""
 
-    deviation: Floats  # (p,), standard deviations of the model: noise alone
-    widening: Floats  # (p,), factor on them, from the scatter of the windows
+    widening: Floats  # (p,), factor on the standard deviations of the model, from the scatter of the windows
     reach: Floats  # (p,), half of the 95 % interval
 
 
@@ -57,7 +56,7 @@ def spread_of(joint: Joint, recording: Indices | None = None) -> Spread:
         return spread
     member = (np.unique(recording)[:, None] == recording).astype(np.float64)  # (recordings, B)
     other = _spread(joint, np.tensordot(member, joint.information, 1), member @ joint.score)
-    return Spread(spread.deviation, *map(np.maximum, spread[1:], other[1:]))
+    return Spread(*map(np.maximum, spread, other))
 
 
 def _spread(joint: Joint, information: Floats, score: Floats) -> Spread:
@@ -77,10 +76,9 @@ def _spread(joint: Joint, information: Floats, score: Floats) -> Spread:
     ratio = np.maximum((MODERATION * common + freedom * ratio) / (MODERATION + freedom), LEAST_RATIO)
     informed = np.clip(total / variance, 0.0, 1.0)  # the rest is the prior's
     widening = np.sqrt(1.0 - informed + informed * ratio)
-    deviation = np.sqrt(variance)
     quantile = stats.t.ppf(1.0 - TAIL, MODERATION + freedom)
-    reach = np.minimum(quantile * widening * deviation, stats.norm.ppf(1.0 - TAIL))
-    return Spread(deviation, widening, reach)
+    reach = np.minimum(quantile * widening * np.sqrt(variance), stats.norm.ppf(1.0 - TAIL))
+    return Spread(widening, reach)
 
 
 def possible_ends(problem: Problem, joint: Joint, spread: Spread, ends: Floats) -> Mask:

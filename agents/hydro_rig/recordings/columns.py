@@ -154,13 +154,21 @@ def maps_of(texts: Sequence[str], paths: Sequence[Path]) -> list[ColumnMap | Non
         pattern, _, file = text.rpartition("=")
         if not pattern and len(texts) > 1:
             raise ConfigurationError(f"--map {text}: several maps need patterns: --map '*_a.csv={file}'")
-        own = [path for path in paths if not pattern or fnmatch(path.name, pattern) or str(path) == pattern]
-        if not own:
-            raise ConfigurationError(
-                f"--map {text}: '{pattern}' matches none of the recordings, such as {paths[0].name}"
-            )
+        own = matching(paths, pattern, f"--map {text}") if pattern else paths
         maps |= dict.fromkeys(own, read_map(Path(file)))
     return [maps.get(path) for path in paths]
+
+
+def matching(paths: Sequence[Path], pattern: str, option: str) -> list[Path]:
+    """The paths whose name, or which as a whole, match a pattern.
+
+    Raises:
+        ConfigurationError: there is none; ``option``: for the message.
+    """
+    own = [path for path in paths if fnmatch(path.name, pattern) or fnmatch(str(path), pattern)]
+    if not own:
+        raise ConfigurationError(f"{option}: '{pattern}' matches none of the recordings, such as {paths[0].name}")
+    return own
 
 
 def own_map(headings: Sequence[str], source: str) -> ColumnMap:

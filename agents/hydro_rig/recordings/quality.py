@@ -10,7 +10,6 @@ Two balances, valid for every rig of this kind, reveal a wrong sign, exchanged c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -27,6 +26,7 @@ from hydro_env.task.paces import periods_late
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
+from hydro_rig.estimation.first_guess import two_pressures
 from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_set_point
 from hydro_rig.recordings.files import interpolated
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
@@ -94,12 +94,8 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool = F
             f"{recording.source}: has {has}, but the rig's sensors {rig}; change that, or map {map_as}"
         )
     samples = sampled(recording, config, own_grid)
-    return check_samples(samples, recording.findings, on_grid(config, samples.period))
-
-
-def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig) -> Checked:
-    """Check samples at the control period of a task; ``known`` are earlier findings."""
-    findings = [*known, *samples.findings]
+    config = on_grid(config, samples.period)
+    findings = [*recording.findings, *samples.findings]
     if not len(samples.time):
         return Checked(samples, findings)
     moving = _stretch_with_motion(_without_gaps(samples, config))
@@ -233,9 +229,8 @@ def _without_gaps(samples: Sampled, config: TaskConfig) -> Sampled:
 def _completed(signals: Floats, config: TaskConfig) -> Floats:
     """Signals (5, T) with a spool that follows its command, and pressures of half the supply, if they are absent."""
     whole, supply = signals.copy(), config.plant.supply
-    if config.sensors.differential_pressure:  # with equal edges the pressures add up to those of supply and tank
-        total, load = supply.pressure + supply.tank_pressure, signals[PRESSURE_A]
-        whole[PRESSURE_A], whole[PRESSURE_B] = 0.5 * (total + load), 0.5 * (total - load)
+    if config.sensors.differential_pressure:
+        whole = two_pressures(signals[None], config)[0]
     for row in (PRESSURE_A, PRESSURE_B):
         if not np.isfinite(whole[row]).any():
             whole[row] = 0.5 * supply.pressure

@@ -87,7 +87,7 @@ def test_after_a_killed_worker_finished_results_are_not_computed_again(tmp_path,
 
 
 def test_a_job_of_the_rig_package_follows_its_code_too(monkeypatch):
-    estimator = pytest.importorskip("hydro_rig.estimation.estimator").EstimatorDetector({})
+    estimator = pytest.importorskip("hydro_rig.estimation.estimator").EstimatorDetector()
     monkeypatch.setattr(jobs, "digest_of_code", lambda *packages: packages)
     for job in (Job(costs_of), Job(tracked, make_controller("pid", TaskConfig())), Job(root)):
         assert job.code == ("hydro_agents",), job

@@ -50,15 +50,11 @@ def test_a_window_that_no_leak_explains_is_unknown():
     assert EstimatorDetector(restarts=0).read(windows, CONFIG).cause.tolist() == [Cause.UNKNOWN, Cause.NONE]
 
 
-def test_changes_of_the_task_reach_the_fit():
-    assert isinstance(make_detector(DetectorChoice(kind="estimator")), EstimatorDetector)
-    detector = EstimatorDetector({"command_latency_range": (1e-3, 2e-3)})
+def test_the_estimator_comes_by_name_and_refuses_no_rig():
+    detector = make_detector(DetectorChoice(kind="estimator"))
+    assert isinstance(detector, EstimatorDetector)
     assert detector.refuses(TaskConfig(control_period=0.01), 10) == ""
     assert detector.threshold is None
-    reading, found = detector.read_and_fit(made("none", 0.5), CONFIG)
-    assert found is not None
-    assert "command_latency" in found.names
-    np.testing.assert_allclose(reading.flow_lpm, 0.5, atol=0.05)
 
 
 def test_edges_are_worn_where_they_are_open_further_than_the_roundest_healthy_ones():

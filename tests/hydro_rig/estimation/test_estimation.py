@@ -18,7 +18,10 @@ QUICK = EstimationSettings(horizons=(0.2,), restarts=1)
 
 def replayed(config, command, physical, start, latency=(1e-3,)):
     """Readings of axes, each with its own window of commands (N, T)."""
-    return replay(config, Commands(command), Rows(np.arange(len(command)), physical, start, np.array(latency)))
+    count, samples = command.shape
+    supply = np.zeros((count, samples)), np.zeros((count, 2))
+    rows = Rows(np.arange(count), physical, start, np.array(latency), np.zeros(count), *supply)
+    return replay(config, Commands(command, np.full((count, 2, samples), np.nan)), rows)
 
 
 def assert_within(found, name, truth, deviations=4.0):

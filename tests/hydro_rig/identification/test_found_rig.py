@@ -23,12 +23,11 @@ from hydro_rig.identification import common_fit
 from hydro_rig.identification.fit import Fit, Unknown
 from hydro_rig.identification.found_rig import _line, _with_unit, found_values, narrowed
 from hydro_rig.identification.held_back import (
-    HORIZONS,
     HeldBack,
     _first_known,
     _share,
     errors_in_words,
-    forecast_over,
+    forecast,
     simulate_held_back,
     whole_parts,
 )
@@ -75,7 +74,7 @@ def fit_of(values, remaining=None):
     """A fit with given values and ends of intervals by name: (value, low, high)."""
     left = remaining or {}
     unknowns = [Unknown(name, *three, left.get(name, 0.1), 1.0) for name, three in values.items()]
-    return Fit(tuple(unknowns), np.zeros(5), None)
+    return Fit(tuple(unknowns), np.zeros(5))
 
 
 @pytest.mark.parametrize("misfit", [1.0, 9.0], ids=["explained", "not explained"])
@@ -108,15 +107,13 @@ def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
         moved = valve.model_copy(update={"null_shift": valve.null_shift + shift})
         wrong = config.plant.model_copy(update={"valve": moved})
         held = simulate_held_back(part, config, wrong, {})
-        tested[shift] = {over: forecast_over([held], over) for over in HORIZONS} | {math.inf: whole_parts([held])}
-    right, drifted = tested[0.0], tested[0.004]
-    errors = [found.error[POSITION] for found in drifted.values()]
-    assert errors == sorted(errors)
-    assert drifted[math.inf].share[POSITION] < 0.9 < drifted[2.0].share[POSITION]
-    assert right[2.0].share[POSITION] > 0.999
+        tested[shift] = forecast([held]), whole_parts([held])
+    ahead, whole = tested[0.004]
+    assert ahead.error[POSITION] < whole.error[POSITION]
+    assert whole.share[POSITION] < 0.9 < ahead.share[POSITION]
+    assert tested[0.0][0].share[POSITION] > 0.999
     short = simulate_held_back(part._replace(signals=signals[0, :, :600]), config, config.plant, {})
-    assert forecast_over([short], 2.0) is None
-    assert forecast_over([short], 0.5).error[POSITION] < 1e-3
+    assert forecast([short]) is None
 
 
 def test_a_held_back_part_begins_where_the_position_is_known():

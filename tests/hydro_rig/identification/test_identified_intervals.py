@@ -168,9 +168,10 @@ def test_a_slew_limit_above_the_spools_speed_is_not_determined(tmp_path):
     ranges = {"valve.slew_limit": {"log_factor": [0.05, 2.0]}}
     config = task_config("as_given", randomisation=ranges, episode_duration=5.0)
     fit = fit_of(tmp_path / "a.csv", config, (4, 200))
-    limit = fit.unknowns[fit.names.index("valve.slew_limit")]
+    by_name = {one.name: one for one in fit.unknowns}
+    limit = by_name["valve.slew_limit"]
     assert not fit.knows(limit)
-    assert fit.knows(fit.unknowns[fit.names.index("leakage_flow_lpm")])
+    assert fit.knows(by_name["leakage_flow_lpm"])
     own = config.plant.valve.slew_limit
     assert found_values(fit, config)["valve.slew_limit"] == pytest.approx(own)
     kept = narrowed(fit, config, config.randomisation)["valve.slew_limit"]["log_uniform"]

@@ -79,7 +79,7 @@ def test_the_hidden_rig_is_found(folder, done):
     }  # fmt: skip
     result = json.loads((out / "identification.json").read_text(encoding="utf-8"))
     assert result["describes"]
-    assert result["share_of_variance"]["position"] > 0.99
+    assert result["held_back"]["together"]["position_share_of_variance"] > 0.99
     for path, value in truth(folder).items() | {("leakage_flow_lpm", LEAK)}:
         assert result["unknowns"][path]["determined"]
         assert_near(result["unknowns"][path], value)
@@ -131,7 +131,7 @@ def test_recordings_with_their_own_sensors_share_the_unknowns(folder, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--hold-back", "*_b*"], "--hold-back *_b*: matches none of the recordings, such as a.csv"),
+        (["--hold-back", "*_b*"], "--hold-back: '*_b*' matches none of the recordings, such as a.csv"),
         (["--hold-back", "*.csv"], "matches every recording"),
         (["--map", "x.yaml", "--map", "y.yaml"], "several maps need patterns"),
         (["--map", "b*=x.yaml"], "'b*' matches none of the recordings"),
@@ -193,7 +193,7 @@ def test_a_load_pressure_of_unknown_gain_stands_for_two_pressures(folder, tmp_pa
     assert answer.returncode == 0, answer.stderr
     result = json.loads((tmp_path / "out" / "identification.json").read_text(encoding="utf-8"))
     assert result["describes"]
-    assert result["share_of_variance"]["pressure_a"] > 0.88
+    assert result["held_back"]["together"]["pressure_a_share_of_variance"] > 0.88
     wanted = truth(folder) | {"pressure_a_gain": gain, "leakage_flow_lpm": LEAK}
     for path, value in wanted.items():
         assert_near(result["unknowns"][path], value)
