@@ -108,6 +108,9 @@ def watch(
         Path, typer.Option(metavar="FILE", help="The table of readings, as that of `hydro trend`.")
     ] = Path("results/watch/watch.csv"),
     tag: Annotated[str, typer.Option(help="Column, or tag of line protocol, that names the axis.")] = "axis",
+    mqtt: Annotated[
+        str | None, typer.Option(metavar="HOST[:PORT]/TOPIC", help="Read an MQTT topic instead of the standard input.")
+    ] = None,
     protocol: Annotated[bool, typer.Option("--line-protocol", help="Print line protocol instead of JSON.")] = False,
 ) -> None:
     """Watch running axes: rows come in, one line per axis and look goes out, in the words of NAMUR NE 107.
@@ -117,12 +120,12 @@ def watch(
     one false alarm in 100 hours. The table holds a reading per hour and each change of state; beside it lies the memory
     of the alarms, with which the next call goes on. `docs/watch.md` shows Telegraf and MQTT.
     """
-    from hydro_rig.watching.sources import lines_of, standard_input
+    from hydro_rig.watching.sources import broker, lines_of, standard_input
     from hydro_rig.watching.stream import FleetWatch
 
     axes = _fleet(fleet, task=task, rig=rig, map=columns, oil=oil, limit=limit)
     _tell_rig(fleet, task, rig)
-    for look in FleetWatch(axes, append).looks(lines_of(standard_input), tag):
+    for look in FleetWatch(axes, append).looks(lines_of(broker(mqtt) if mqtt else standard_input), tag):
         say(look.line(protocol))
         sys.stdout.flush()
 

@@ -1,10 +1,13 @@
 """``hydro watch``: rows become looks; the wiring is named before an alarm; a restart and a kill lose nothing."""
 
 import json
+import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -17,7 +20,7 @@ from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.simulated import record_axis
 from hydro_rig.watching.fleet import Axis, Fleet
 from hydro_rig.watching.rows import SIGNALS, RowError, RowReader, in_protocol
-from hydro_rig.watching.sources import MOST_LINES, lines_of
+from hydro_rig.watching.sources import MOST_LINES, broker, lines_of
 from hydro_rig.watching.stream import FleetWatch
 from hydro_rig.watching.table import read_table, write_table
 from hydro_rig.watching.trend import Condition
@@ -121,6 +124,43 @@ def test_a_slow_reader_holds_the_source_back():
     time.sleep(0.5)
     assert len(put_so_far) <= MOST_LINES + 2
     assert [next(lines) for _ in range(3)] == ["1", "2", "3"]
+
+
+def test_an_address_of_a_broker_is_checked():
+    with refused("must be HOST"):
+        broker("localhost")
+
+
+@pytest.mark.skipif(shutil.which("mosquitto") is None, reason="needs the broker mosquitto")
+def test_rows_come_from_a_broker_that_goes_and_comes_back():
+    publish = pytest.importorskip("paho.mqtt.publish")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+
+    def begun():
+        process = subprocess.Popen(["mosquitto", "-p", str(port)], stderr=subprocess.DEVNULL)
+        for _ in range(100):
+            with suppress(OSError), socket.create_connection(("127.0.0.1", port), 0.1):
+                return process
+            time.sleep(0.05)
+        raise AssertionError("mosquitto does not begin")
+
+    process = begun()
+    lines = lines_of(broker(f"127.0.0.1:{port}/hall/#"))
+    heard = []
+    for sent in ("first\nsecond", "third\nfourth"):
+        for _ in range(30):  # until the client is there, again
+            publish.single("hall/lift", sent, qos=1, hostname="127.0.0.1", port=port)
+            heard.append(next(lines))
+            if heard[-1] in sent.split("\n"):
+                break
+        process.terminate()
+        process.wait()
+        process = begun()
+    process.terminate()
+    process.wait()
+    assert {"first", "third"} <= set(heard)
 
 
 # Axes ----------------------------------------------------------------------------------------------------------------
