@@ -59,6 +59,9 @@ FUNCTIONS: dict[str, Any] = {
     "DINT_TO_LREAL": float,
     "LREAL_TO_DINT": round,
     "BOOL_TO_LREAL": float,
+    "DINT_TO_REAL": real,
+    "BOOL_TO_REAL": real,
+    "REAL_TO_DINT": round,
     "_divided": divided,
     "_real": real,
 }
@@ -90,7 +93,7 @@ class ToPython(ast.NodeTransformer):
 
 
 def to_python(expression: str) -> str:
-    text = WORD.sub(lambda word: f" {WORDS[word[0]]} ", expression.replace("REAL#", ""))
+    text = WORD.sub(lambda word: f" {WORDS[word[0]]} ", re.sub(r"REAL#([\d.]+(?:E[-+]\d+)?)", r"_real(\1)", expression))
     return ast.unparse(ToPython().visit(ast.parse(" ".join(text.split()), mode="eval").body))
 
 

@@ -58,6 +58,14 @@ def export(
             "the next command finds them again. figures: they follow from the figures of the rig, in seconds."
         ),
     ] = None,
+    single: Annotated[
+        bool,
+        typer.Option(
+            "--single",
+            help="A controller in single precision: REAL in Structured Text and float in C.",
+            show_default=False,
+        ),
+    ] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the plant, a controller or the leakage head for other tools, or for your own C program.
@@ -85,8 +93,8 @@ def export(
 
     request = _Request(task, rig, period, latency)
     is_controller = what != "plant" and what != HEAD and (":" in what or kind_of_weights(what) != KIND)
-    if not is_controller and (name, gains) != (None, None):
-        raise ConfigurationError(f"export {what}: takes no --name and no --gains; a controller does")
+    if not is_controller and (name, gains, single) != (None, None, False):
+        raise ConfigurationError(f"export {what}: takes no --name, no --gains and no --single; a controller does")
     if what == "plant":
         if period is not None or latency is not None:
             raise ConfigurationError("export plant: takes no --period and no --latency; a controller does")
@@ -96,7 +104,7 @@ def export(
     else:
         check_block_name(name or NAME)
         refuse_taken(output, JOB, files_of(name or NAME), overwrite)  # before a simulation of the rig searches gains
-        names, make = _controller(what, request, name or NAME, gains)
+        names, make = _controller(what, request, name or NAME, gains, single)
     with output_folder(output, JOB, names, overwrite=overwrite):
         files, report = make()
         for name, content in files.items():
@@ -157,7 +165,7 @@ def _tell_distance(what: str, trained: object, config: TaskConfig) -> None:
         print(f"hydro: {what}: outside the rigs of the training: {far}", file=sys.stderr)
 
 
-def _controller(what: str, request: _Request, name: str, gains: Gains | None) -> Job:
+def _controller(what: str, request: _Request, name: str, gains: Gains | None, single: bool) -> Job:
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.loading import GainsOrigin, origin_of_gains, trained_for
     from hydro_rig.export.controller_folder import exported_files, files_of
@@ -173,7 +181,7 @@ def _controller(what: str, request: _Request, name: str, gains: Gains | None) ->
         origin = GainsOrigin.SEARCHED if gains is Gains.SEARCHED else GainsOrigin.FIGURES
     if origin in (GainsOrigin.ANY_RIG, GainsOrigin.RIG):
         say(f"{what}: {origin}: {page('drawn_rigs.md')} says what they cost")
-    return files_of(name), partial(exported_files, controller, config, command_line(), origin, name)
+    return files_of(name), partial(exported_files, controller, config, command_line(), origin, name, single)
 
 
 def _with_gains(what: str, gains: Gains, config: TaskConfig) -> Controller:

@@ -126,7 +126,7 @@ def tested(code: CCode, vectors: str, values: Mapping[str, Any]) -> tuple[dict[s
         **code.files,
         f"test_{code.name}.c": render(f"test_{code.template}.c.j2", values),
         "vectors.csv": vectors,
-        "README.md": render(f"{code.template}_readme.md.j2", values),
     }
     said = compared(code.name, texts)
+    texts["README.md"] = render(f"{code.template}_readme.md.j2", {**values, "said": said})
     return {name: text.encode() for name, text in texts.items()}, said

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,7 +20,7 @@ from hydro_rig.export.block import Block
 from hydro_rig.export.c_files import CCode, c_code
 from hydro_rig.export.c_writer import Writer, declaration
 from hydro_rig.export.contract import OUTPUTS, BlockInput, State
-from hydro_rig.export.graph import Graph, Node, in_order, needed
+from hydro_rig.export.graph import Graph, Node, in_order, in_single, needed
 from hydro_rig.export.measured import MeasuredSignals
 from hydro_rig.export.tracing import TraceError, named, trace
 
@@ -58,6 +58,16 @@ class ControllerGraph:
     def signals(self) -> MeasuredSignals:
         """The signals that it reads."""
         return self.block.signals
+
+    @property
+    def real(self) -> np.dtype[Any]:
+        """Type of its numbers."""
+        return self.graph.inputs["output_limit"].kind
+
+    def in_single(self) -> ControllerGraph:
+        """The same block in single precision."""
+        graph = in_single(self.graph)
+        return replace(self, graph=graph, memory=tuple(graph.inputs[part.name] for part in self.memory))
 
     @property
     def outputs(self) -> list[str]:
@@ -283,7 +293,9 @@ def written_step(
         "idle": "\n".join(idle),
         "after": "\n".join(after),
         "tables": writer.tables,
-        "types": {kind: language.types[np.dtype(kind)] for kind in (bool, int, float)},
+        "real": language.types[controller.real],
+        "types": {kind: language.types[np.dtype(kind)] for kind in (bool, int)}
+        | {float: language.types[controller.real]},
         "parts": [
             declaration(language, field(part.name), part.size, part.kind)
             for part in controller.memory

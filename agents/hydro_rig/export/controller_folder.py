@@ -23,10 +23,14 @@ from hydro_rig.export.c_files import csv_text, tested
 from hydro_rig.export.contract import LOST_RULE
 from hydro_rig.export.controller import GAINS, ControllerGraph, c_name, controller_code, controller_graph, facts_of
 from hydro_rig.export.onnx_writer import controller_model, onnx_session
+from hydro_rig.export.plcopen import plcopen_xml
 from hydro_rig.export.structured_text import RESERVED, call_example, st_name, structured_text
 
 LARGEST_DIFFERENCE = 1e-5
 """Largest difference of the command between the exported controller and the one in Python; more is an error."""
+
+IN_SINGLE = 1e-4
+"""The same of a block in single precision: a millivolt, three steps of a 16-bit output."""
 
 NAME = "Controller"
 MODEL_FILE, TASK_FILE = "controller.onnx", "task.yaml"
@@ -48,7 +52,7 @@ class Vector(NamedTuple):
 def files_of(name: str) -> tuple[str, ...]:
     """Names of the files of a block with a name."""
     code = c_name(name)
-    sources = (f"{code}.c", f"{code}.h", f"{code}.st", f"{code}_call.st", f"test_{code}.c")
+    sources = (f"{code}.c", f"{code}.h", f"{code}.st", f"{code}_call.st", f"{code}.xml", f"test_{code}.c")
     return (MODEL_FILE, *sources, "vectors.csv", TASK_FILE, "README.md")
 
 
@@ -206,11 +210,17 @@ def _script(run: _Episode, gains: Sequence[str]) -> list[tuple[int, dict[str, An
 
 
 def exported_files(
-    controller: Controller, config: TaskConfig, command: str, origin: str = "", name: str = NAME
+    controller: Controller,
+    config: TaskConfig,
+    command: str,
+    origin: str = "",
+    name: str = NAME,
+    single: bool = False,
 ) -> tuple[dict[str, bytes], list[str]]:
     """The files of an exported controller by name, and the results of their checks, one line each.
 
-    Their page names the ``command`` that exports it, and the ``origin`` of its gains; ``name``: of the block.
+    Their page names the ``command`` that exports it, and the ``origin`` of its gains; ``name``: of the block;
+    ``single``: C and Structured Text in single precision.
 
     Raises:
         TraceError: the controller cannot be exported exactly.
@@ -221,14 +231,17 @@ def exported_files(
     graph = controller_graph(controller, config)
     model = controller_model(graph).SerializeToString()
     vectors, gains = make_vectors(graph), getattr(controller, "gains", None)
-    code, in_text = controller_code(graph, name), structured_text(graph, name)
+    written = graph.in_single() if single else graph
+    code, in_text = controller_code(written, name), structured_text(written, name)
     values = {
         **facts_of(graph, name),
         "command": command,
         "origin": origin,
         "st_name": st_name,
         "samples": len(vectors),
+        "single": single,
         "allowed": LARGEST_DIFFERENCE * FULL_VOLTAGE,
+        "allowed_in_c": (IN_SINGLE if single else LARGEST_DIFFERENCE) * FULL_VOLTAGE,
         "compared": COMPARED,
         "lost_rule": LOST_RULE,
         "outside": OUT_OF_RANGE,
@@ -240,7 +253,12 @@ def exported_files(
     csv = csv_text([*(row.name for row in graph.inputs), *COMPARED], rows)
     files, in_c = tested(code, csv, values)
     task = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
-    texts = {f"{code.name}.st": in_text, f"{code.name}_call.st": call_example(graph, name)}
+    call = call_example(written, name)
+    texts = {
+        f"{code.name}.st": in_text,
+        f"{code.name}_call.st": call,
+        f"{code.name}.xml": plcopen_xml(in_text + call, name),
+    }
     files |= {file: text.encode("ascii") for file, text in texts.items()}
     files |= {MODEL_FILE: model, TASK_FILE: task.encode()}
     return files, [f"{MODEL_FILE}: {in_onnx}", f"{code.name}.c: {in_c}"]

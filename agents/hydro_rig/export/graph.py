@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -34,7 +34,7 @@ ELEMENTWISE |= dict.fromkeys((np.logical_not, np.invert), "not")
 SCALED = "_scaled"
 """End of the name of an entry of the observation, which has no unit; the same number in SI units has none."""
 
-KINDS = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.int64, np.bool_))
+KINDS = DOUBLE, SINGLE, *_ = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.int64, np.bool_))
 
 
 @dataclass(eq=False, repr=False)  # a graph in words would be as long as all its paths
@@ -112,6 +112,20 @@ def in_order(outputs: Sequence[Node]) -> list[Node]:
         else:
             waiting += reversed(missing)
     return [node for node in done if node.operation not in ("input", "constant")]
+
+
+def in_single(graph: Graph) -> Graph:
+    """The same operations in single precision."""
+    made: dict[Node, Node] = {}
+    constants = [node for node in needed([*graph.outputs.values()]) if node.operation == "constant"]
+    for node in (*graph.inputs.values(), *constants, *graph.nodes()):
+        kind = SINGLE if node.kind == DOUBLE else node.kind
+        table = node.table.astype(kind) if node.operation == "constant" and node.table is not None else node.table
+        operands = tuple(made[operand] for operand in node.operands)
+        same = node.operation == "cast" and operands[0].kind == kind
+        made[node] = operands[0] if same else replace(node, operands=operands, kind=kind, table=table)
+    inputs, outputs = ({name: made[node] for name, node in part.items()} for part in (graph.inputs, graph.outputs))
+    return Graph(inputs, outputs)
 
 
 def needed(outputs: Sequence[Node]) -> set[Node]:

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError, HydroError, __version__
 from hydro_rig.export.controller import ANSWER, CONTINUED, OUTPUT, STARTED, ControllerGraph, facts_of
-from hydro_rig.export.graph import Builder, Node, in_order
+from hydro_rig.export.graph import DOUBLE, Builder, Node, in_order
 
 OPSET = 17
-DOUBLE = np.dtype(np.float64)
 _OPERATORS = {
     "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negative": "Neg", "absolute": "Abs",
     "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "power": "Pow", "tanh": "Tanh", "arcsinh": "Asinh", "equal": "Equal",

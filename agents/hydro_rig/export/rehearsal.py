@@ -43,8 +43,8 @@ SETTLED = 1e-3  # m; a move is over while the axis stays this close to its targe
 WEAK = 0.8  # of the supply's pressure
 HEALTHY, WORN = 0.02, 4.0  # l/min at 100 bar
 
-_FIELD = re.compile(r"^ +(int|long|double) (\w+);", re.MULTILINE)
-_TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double}
+_FIELD = re.compile(r"^ +(int|long|float|double) (\w+);", re.MULTILINE)
+_TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "float": ctypes.c_float, "double": ctypes.c_double}
 
 
 class CBlock:
@@ -74,7 +74,6 @@ class CBlock:
         size.restype = ctypes.c_size_t
         self._memory = ctypes.create_string_buffer(size())
         self._reset, self._step = getattr(library, f"{prefix}_reset"), getattr(library, f"{prefix}_step")
-        self._step.restype = ctypes.c_double
         kind: Any = type("Block", (ctypes.Structure,), {"_fields_": fields})
         self.values = kind.from_buffer(self._memory)
 
@@ -86,7 +85,8 @@ class CBlock:
         """The command for one sample, V; inputs that are not given keep their values."""
         for name in inputs.keys() & self.names:
             setattr(self.values, name, inputs[name])
-        return float(self._step(self._memory))
+        self._step(self._memory)
+        return float(self.values.command)
 
 
 class Scene(NamedTuple):

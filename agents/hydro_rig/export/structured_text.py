@@ -149,7 +149,8 @@ def call_example(controller: ControllerGraph, name: str) -> str:
 
 def _rendered(template: str, controller: ControllerGraph, name: str, values: Mapping[str, Any]) -> str:
     """A template with its values, for editors of old."""
-    values = {**facts_of(controller, name), **values, "st_name": st_name, "literal": literal}
+    own = {"st_name": st_name, "literal": literal, "real": LANGUAGE.types[controller.real]}
+    values = {**facts_of(controller, name), **own, **values}
     text = render(f"{template}.st.j2", values)
     for letter, plain in ASCII.items():
         text = text.replace(letter, plain)

@@ -177,6 +177,7 @@ def test_the_command_writes_the_folder_of_a_rig_that_nobody_tuned_once(tmp_path,
         (("flow_linearising", "--period", "2 bar"), "export flow_linearising: --period = '2 bar': unit 'bar'"),
         (("flow_linearising", "--latency", "26ms"), "--latency = 0.026 s must not exceed 5 times --period = 0.005 s"),
         (("plant", "--latency", "1ms"), "export plant: takes no --period and no --latency"),
+        (("plant", "--single"), "export plant: takes no --name, no --gains and no --single"),
     ],
 )
 def test_what_the_command_does_not_know_is_one_line(arguments, what, tmp_path):

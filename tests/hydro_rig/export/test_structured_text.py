@@ -1,17 +1,21 @@
 """Structured Text: the rules of its compilers, the vectors, and gains that change."""
 
+import copy
 import csv
 import re
 from itertools import islice
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from structured_text import FunctionBlock
 
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv
 from hydro_rig.export.controller import controller_graph
-from hydro_rig.export.structured_text import RESERVED
+from hydro_rig.export.controller_folder import IN_SINGLE
+from hydro_rig.export.structured_text import RESERVED, structured_text
 
 KINDS = ("pid", "flow_linearising")
 SEED = VALIDATION_SEEDS.start + 710_800
@@ -30,6 +34,48 @@ def test_it_gives_commands_and_states_of_the_vectors_sample_by_sample(kind, samp
         assert (found["state"], found["fault_code"]) == (float(row["state"]), float(row["fault_code"]))
         different = max(different, abs(found["command"] - float(row["command"])))
     assert different <= 1e-6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_in_single_precision_the_states_are_those_of_the_vectors_and_the_commands_close(kind, exported):
+    text = structured_text(exported(kind).graph.in_single())
+    assert not re.search(r"\bLREAL\b", text)
+    different, usual = [], FunctionBlock(text)
+    for row in csv.DictReader((exported(kind).folder / "vectors.csv").open()):
+        if row["start"] == "1":
+            run = copy.deepcopy(usual)
+            run.stops = False
+        inputs = {each.name: each.kind(float(row[each.name])) for each in exported(kind).graph.inputs}
+        run.gains = {name: inputs.pop(f"gains.{name}") for name in usual.gains}
+        found = run(inputs)
+        assert (found["state"], found["fault_code"]) == (float(row["state"]), float(row["fault_code"]))
+        different.append(abs(found["command"] - float(row["command"])))
+    assert 0.0 < max(different) <= 10.0 * IN_SINGLE
+
+
+@pytest.mark.parametrize("kind", ["flow_linearising", "ppo"])
+def test_the_xml_holds_the_declarations_and_statements_of_the_text(kind, exported):
+    space = "{http://www.plcopen.org/xml/tc6_0201}"
+    folder = exported(kind).folder
+    text = (folder / "controller.st").read_text() + (folder / "controller_call.st").read_text()
+    project = ElementTree.fromstring((folder / "controller.xml").read_bytes())
+    units = {unit.get("name"): unit for unit in project.iter(f"{space}pou")}
+    assert [*units] == re.findall(r"^(?:FUNCTION|FUNCTION_BLOCK|PROGRAM) (\w+)", text, flags=re.MULTILINE)
+    for name, unit in units.items():
+        own = re.search(rf"^(?:FUNCTION|FUNCTION_BLOCK|PROGRAM) {name}\b.*?^END_(?:FUNC|PROG)", text, re.M | re.S)[0]
+        body = "".join(unit.find(f"{space}body").itertext()).strip()
+        assert own.rpartition("END_VAR\n")[2].strip().startswith(body)
+        assert len(body) > 50
+        plain = re.sub(r"\(\*.*?\*\)", "", own, flags=re.DOTALL).rpartition("END_VAR")[0]
+        declared = re.findall(r"^    ([\w, ]+) : ", plain, flags=re.MULTILINE)
+        assert [one.get("name") for one in unit.iter(f"{space}variable")] == [
+            name for names in declared for name in names.split(", ")
+        ]
+        values = [one.get("value") for one in unit.iter(f"{space}simpleValue")]
+        assert values == re.findall(r"TRUE|-?[\d.]+(?:E[-+]\d+)?", " ".join(re.findall(r":= ([^;]*);", plain)))
+    types = {one.get("name") for one in project.iter(f"{space}dataType")}
+    assert types < {one.get("name") for one in project.iter(f"{space}derived")} <= {*types, "Controller"}
+    assert "CONSTANT" not in text or units["Controller"].find(f".//{space}localVars[@constant='true']") is not None
 
 
 @pytest.mark.slow  # blark reads a thousand letters a second
