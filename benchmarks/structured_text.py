@@ -4,8 +4,7 @@
     python benchmarks/structured_text.py ppo --matiec ../matiec --strucpp ../STruCpp
 
 The options name checkouts with a built compiler (github.com/beremiz/matiec, github.com/Autonomy-Logic/STruCpp);
-default: those of iec2c and strucpp on the PATH. A compiler that is not found is left out. All programs do the same:
-they read the vectors, set all inputs and call the block.
+default: those of iec2c and strucpp on the PATH; one that is not found is left out. All programs do the same.
 """
 
 from __future__ import annotations
@@ -23,43 +22,37 @@ from pathlib import Path
 from hydro_rig.export.structured_text import st_name
 
 FLAGS = ("-O2", "-ffp-contract=off", "-w")
-REPETITIONS, ROUNDS = 20, 7  # of all vectors; the time is that of the fastest round
 MAIN = """#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
 %(before)s
-static double v[%(samples)d][%(columns)d];
-static %(type)s block;
+static double v[%(samples)d][%(columns)d]; static %(type)s block;
 static void call(const double *v) { if (v[0]) { %(reset)s; } %(inputs)s %(step)s; }
 int main(void)
 {
-    double largest = 0.0, best = HUGE_VAL;
-    int wrong = 0;
+    double largest = 0.0, best = HUGE_VAL, wrong = 0.0;
     for (int n = 0; n < %(samples)d; ++n)
         for (int i = 0; i < %(columns)d; ++i) { char text[64]; scanf("%%63s", text); v[n][i] = strtod(text, NULL); }
     for (int n = 0; n < %(samples)d; ++n) {
-        const double *expected = v[n] + %(columns)d - 3;
         call(v[n]);
-        const double apart = fabs((double)%(command)s - expected[0]);
+        const double apart = fabs((double)%(command)s - v[n][%(columns)d - 3 + 0]);
         if (!(apart <= largest)) largest = apart > largest ? apart : HUGE_VAL;
-        wrong += (double)%(state)s != expected[1] || (double)%(fault_code)s != expected[2];
+        wrong += (double)%(state)s != v[n][%(columns)d - 3 + 1] || (double)%(fault_code)s != v[n][%(columns)d - 3 + 2];
     }
-    for (int round = 0; round < %(rounds)d; ++round) {
+    for (int round = 0; round < 7; ++round) {
         const clock_t begun = clock();
-        for (int k = 0; k < %(repetitions)d; ++k) for (int n = 0; n < %(samples)d; ++n) call(v[n]);
-        const double used = (double)(clock() - begun) / CLOCKS_PER_SEC / %(repetitions)d / %(samples)d;
-        if (used < best) best = used;
+        for (int k = 0; k < 20; ++k) for (int n = 0; n < %(samples)d; ++n) call(v[n]);
+        best = fmin(best, (double)(clock() - begun) / CLOCKS_PER_SEC / 20 / %(samples)d);
     }
-    printf("%%.3g %%d %%.4g %%d\\n", largest, wrong, 1e6 * best, (int)sizeof block);
+    printf("%%.3g %%g %%.4g %%d\\n", largest, wrong, 1e6 * best, (int)sizeof block);
 }
 """
 
 
 def ran(command: Sequence[object], folder: Path, given: str = "") -> str:
-    """What a command prints; its first complaint ends the program."""
-    words = [str(part) for part in command]
-    result = subprocess.run(words, cwd=folder, input=given, capture_output=True, text=True, check=False)
+    """What a command prints; its complaint ends the program."""
+    result = subprocess.run([*map(str, command)], cwd=folder, input=given, capture_output=True, text=True, check=False)
     if result.returncode != 0:
         sys.exit(f"{command[0]}: {(result.stderr or result.stdout).strip()[:500]}")
     return result.stdout
@@ -76,10 +69,10 @@ def measured(block: Path, work: Path, words: dict[str, str], field: str, compile
         outer, _, inner = name.partition(".")
         return field.format(name, st_name(outer).upper(), f".{inner.upper()}" if inner else "")
 
-    inputs = " ".join(f"{text(name)} = v[{place}];" for place, name in enumerate(names[:-3]) if place)
-    size = {"samples": len(samples), "columns": len(names), "rounds": ROUNDS, "repetitions": REPETITIONS}
+    size: dict[str, object] = {"samples": len(samples), "columns": len(names)}
+    size["inputs"] = " ".join(f"{text(name)} = v[{place}];" for place, name in enumerate(names[:-3]) if place)
     main = "main.cpp" if str(compiler[0]) == "g++" else "main.c"
-    (work / main).write_text(MAIN % {**size, **words, **{name: text(name) for name in names[-3:]}, "inputs": inputs})
+    (work / main).write_text(MAIN % {**size, **words, **{name: text(name) for name in names[-3:]}})
     ran([*compiler, *FLAGS, main, "-o", "main", "-lm"], work)
     return [float(one) for one in ran(["./main"], work, "\n".join(" ".join(one) for one in samples)).split()]
 
@@ -104,9 +97,9 @@ def compared(block: Path, matiec: Path | None, strucpp: Path | None) -> None:
             words |= {"reset": f"block = strucpp::{upper}()", "step": "block()"}
             compiler = ["g++", "-std=c++17", "-I", strucpp / "src/runtime/include"]
             lines["STruC++"] = measured(block, work, words, "block.{1}{2}", compiler)
-    for compiled, (apart, wrong, time, size) in lines.items():
-        ratio = time / lines["C"][2]
-        print(f"{block.parent.name} | {compiled} | {apart:.2g} | {wrong:.0f} | {time:.3g} | {ratio:.1f} | {size:.0f}")
+    for who, (apart, wrong, time, size) in lines.items():
+        of_c = time / lines["C"][2]
+        print(f"{block.parent.name} | {who} | {apart:.2g} | {wrong:.0f} | {time:.3g} | {of_c:.1f} | {size:.0f}")
 
 
 def main() -> None:
@@ -117,7 +110,7 @@ def main() -> None:
         found = shutil.which(command)
         parser.add_argument(option, type=Path, default=Path(found).resolve().parents[depth] if found else None)
     given = parser.parse_args()
-    print("folder | compiler | V | other states | us per call | of C | bytes of an instance")
+    print("folder | compiler | V | other states | µs per call | of C | bytes of an instance")
     for folder in given.folders:
         block = next(file for file in folder.glob("*.st") if not file.stem.endswith("_call"))
         compared(block, *(place and place.absolute() for place in (given.matiec, given.strucpp)))
