@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import ClassicalController
+from hydro_agents.controllers.base import ClassicalController, Controller
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.registry import kind_of
 from hydro_agents.learning.features import (
     HISTORY_LAGS,
@@ -35,12 +36,13 @@ class AnyAxisFeatures(PolicyFeatures):
 
     They are the measured signals, the reference some paces ahead, what the corrected controller commands and estimates,
     a history in steps of the rig, and the data sheet. On a rig without a spool sensor the last command replaces it.
+    A policy that acts alone has the units of untuned flow linearisation.
 
     A correction is as large as the rig allows: in proportion to the travel that the corrected controller's error is.
 
     Args:
         config: the task on a rig.
-        base: the controller that the policy corrects, with its gains for any rig.
+        base: the controller that the policy corrects, with its gains for any rig; ``None``: it acts alone.
         correction: command per 1 of the policy's output where that error is :data:`USUAL_ERROR`.
         error: the error, as a part of the travel at full speed in a pace; :meth:`normalised` simulates it.
         samples: number of samples of the history, the newest; default: all. A policy with a memory needs one.
@@ -53,7 +55,7 @@ class AnyAxisFeatures(PolicyFeatures):
     def __init__(
         self,
         config: TaskConfig,
-        base: ClassicalController,
+        base: ClassicalController | None,
         correction: float = 0.2,
         error: float = USUAL_ERROR,
         samples: int | None = None,
@@ -101,13 +103,13 @@ class AnyAxisFeatures(PolicyFeatures):
         own = {"any_axis": True, "correction": self.correction, "error": self.error}
         return super().describe() | own | {"history_signals": list(HISTORY_SIGNALS)}
 
-    def normalised(self) -> AnyAxisFeatures:
+    def normalised(self, leader: Controller | None = None) -> AnyAxisFeatures:
         """The same features with the error of the corrected controller and normalised by its values, by simulation."""
-        base: Any = self.base
-        errors = family_errors(self.config, base, ERROR_PLANTS, sensor_frame=True)
+        leader = leader or self.base or FlowLinearising(FlowLinearisingGains(), self.config)
+        errors = family_errors(self.config, leader, ERROR_PLANTS, sensor_frame=True)
         error = math.exp(np.mean(np.log(list(errors.values())))) / (full_speed(self.config.plant) * pace(self.config))
-        features = AnyAxisFeatures(self.config, base, self.correction, error, len(self.lags))
-        return PolicyFeatures.normalised(features)
+        features = AnyAxisFeatures(self.config, self.base, self.correction, error, len(self.lags))
+        return PolicyFeatures.normalised(features, None if self.base else leader)
 
     def moved_to(self, config: TaskConfig, gains: GainsFor = chosen_gains) -> AnyAxisFeatures:
         """The same features on another rig: there a simulation finds the corrected controller's gains and the units.
@@ -115,10 +117,10 @@ class AnyAxisFeatures(PolicyFeatures):
         Raises:
             ConfigurationError: the rig lacks a sensor that the corrected controller reads.
         """
-        base: Any = self.base
+        base: Any = self.base or FlowLinearising(FlowLinearisingGains(), config)
         type(base)(base.gains, config)  # names a missing sensor
         usual = task_config(config, episode_duration=TaskConfig().episode_duration)  # longer ones find other gains
-        own = type(base)(gains(kind_of(base), usual), usual)
+        own = self.base and type(base)(gains(kind_of(base), usual), usual)
         moved = AnyAxisFeatures(usual, own, self.correction, samples=len(self.lags)).normalised()
         moved.config = config
         return moved

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import ClassicalController, Observation, ObservationLayout
+from hydro_agents.controllers.base import ClassicalController, Controller, Observation, ObservationLayout
 from hydro_agents.controllers.preview import Preview
 from hydro_agents.controllers.registry import kind_of
 from hydro_agents.running.seeds import SCALES
@@ -233,22 +233,24 @@ class PolicyFeatures:
         less.correction *= share
         return less
 
-    def normalised(self) -> Self:
+    def normalised(self, leader: Controller | None = None) -> Self:
         """The same features, normalised by their values on training plants under the corrected controller.
 
-        Without a corrected controller, the commands are random.
+        Without one, a leader commands; without a leader, the commands are random.
         """
         spread = 0.0 if self.base is not None else 0.2
         generator, seeds = np.random.default_rng(0), self.normalising_seeds
-        plain, state, seen = copy(self), None, []
+        plain, state, memory, seen = copy(self), None, None, []
         plain.normalisation = None
         env = ServoHydraulicVectorEnv(len(seeds), self.config, autoreset_mode="SameStep", info=False)
         observation, _ = env.reset(seed=list(seeds))
         for step in range(self.config.steps):
             inputs, state = plain(observation, state, np.full(len(observation), step == 0))
             seen.append(inputs)
-            output = spread * generator.standard_normal((len(observation), 1))
-            observation, *_ = env.step(plain.command(output, state))
+            command = plain.command(spread * generator.standard_normal((len(observation), 1)), state)
+            if leader is not None:
+                command, memory = leader.predict(observation, memory)
+            observation, *_ = env.step(command)
         env.close()
         normalised = copy(self)
         normalised.normalisation = Normalisation.of(np.concatenate(seen))

@@ -50,13 +50,19 @@ class _Imitating:
             (actor if name.startswith(ACTOR) else critic).append(weights)
         for _ in range(self.n_epochs):
             for batch in self.rollout_buffer.get(self.batch_size):
-                memory = (batch.lstm_states, batch.episode_starts) if recurrent else ()
-                value, density, _ = self.policy.evaluate_actions(batch.observations, batch.actions, *memory)
+                value = None
+                if recurrent or self.imitated_steps < self._total_timesteps:
+                    memory = (batch.lstm_states, batch.episode_starts) if recurrent else ()
+                    value, density, _ = self.policy.evaluate_actions(batch.observations, batch.actions, *memory)
+                else:  # no critic is needed afterwards
+                    density = self.policy.get_distribution(batch.observations).log_prob(batch.actions)
                 spread = self.policy.log_std.exp()
                 squared = -2.0 * spread**2 * (density + (spread * math.sqrt(2.0 * math.pi)).log())
                 relative = (squared / (FLOOR + batch.actions.flatten().abs()) ** 2).clamp(max=WORST)
                 real = batch.mask > 0.5 if recurrent else torch.ones_like(squared, dtype=torch.bool)
-                loss = relative[real].mean() + self.vf_coef * mse_loss(value.flatten()[real], batch.returns[real])
+                loss = relative[real].mean()
+                if value is not None:
+                    loss = loss + self.vf_coef * mse_loss(value.flatten()[real], batch.returns[real])
                 self.policy.optimizer.zero_grad()
                 loss.backward()
                 for part in actor, critic:  # together, the errors of a young critic would leave the actor nothing

@@ -19,6 +19,8 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
 
+from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.checkpoint import Checkpoints
 from hydro_agents.learning.features import PolicyFeatures
@@ -196,16 +198,16 @@ class TrainingCallback(BaseCallback):
         }
 
     def _validation_on_rigs(self, features: AnyAxisFeatures) -> dict[str, float]:
-        """Errors relative to the corrected controller's on validation rigs, every family weighing the same."""
+        """Errors relative to the corrected controller's, or the untuned one's, on validation rigs by families."""
         if not self._rigs:
             law = {"split": "validation", "count": VALIDATION_RIGS}
             for task in rig_tasks(task_config(self._config, law=law)):
                 own = features.moved_to(task)
-                assert own.base is not None
-                self._rigs.append((own, family_errors(task, own.base, VALIDATION_PLANTS, sensor_frame=True)))
+                base: Controller = own.base or FlowLinearising(FlowLinearisingGains(), task)
+                self._rigs.append((own, family_errors(task, base, VALIDATION_PLANTS, sensor_frame=True)))
         ratios = []
-        for own, base in self._rigs:
+        for own, wrong in self._rigs:
             policy = PolicyController.from_sb3(self.model, own)
             errors = family_errors(own.config, policy, VALIDATION_PLANTS, sensor_frame=True)
-            ratios.append(math.exp(np.mean([math.log(errors[name] / base[name]) for name in base])))
+            ratios.append(math.exp(np.mean([math.log(errors[name] / wrong[name]) for name in wrong])))
         return {"error_to_corrected": float(np.median(ratios)), "worst_error_to_corrected": max(ratios)}

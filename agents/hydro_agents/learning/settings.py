@@ -56,7 +56,7 @@ class PPOSettings(Group):
     )
     imitated_share: float = Field(0.5, gt=0.0, le=1.0, description="part of the training in which it imitates")
     imitation_rate: float = Field(
-        1e-3, gt=0.0, le=1.0, description="learning rate of that part; decreases to a tenth along a cosine"
+        1e-3, gt=0.0, le=1.0, description="learning rate of that part; decreases to a hundredth along a cosine"
     )
     critic_first: float = Field(
         0.0, ge=0.0, lt=1.0, description="part of the training in which the critic alone learns: needed by a start"
@@ -101,8 +101,8 @@ class PPOSettings(Group):
         if self.teacher is not None and self.residual:
             raise ValueError("teacher: needs residual: false, a policy that acts on its own")
         if self.law is not None:
-            if not self.residual or not self.normalise:
-                raise ValueError("law: needs residual: true and normalise: true")
+            if not self.normalise or not (self.residual or self.teacher):
+                raise ValueError("law: needs normalise: true, and residual: true or a teacher")
             if self.axes % self.law.count:
                 raise ValueError(f"axes = {self.axes}: must be a multiple of law.count = {self.law.count}")
         return self
@@ -122,12 +122,12 @@ class PPOSettings(Group):
     def learning_rate_at(self, remaining: float) -> float:
         """Learning rate when the share ``remaining`` of the training (1 to 0) is left."""
         share = min(1.0 - remaining, 1.0)  # the last rollout may exceed the end
-        first, begins = self.learning_rate, self.imitated_share if self.teacher else 0.0
+        first, last, begins = self.learning_rate, 0.1, self.imitated_share if self.teacher else 0.0
         if share < begins:
-            first, share = self.imitation_rate, share / begins
+            first, last, share = self.imitation_rate, 0.01, share / begins
         elif begins < 1.0:
             share = (share - begins) / (1.0 - begins)
-        return first * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * share)))
+        return first * (last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * share)))
 
     def log_standard_deviation_at(self, share: float) -> float:
         """Logarithm of the exploration's standard deviation when a share (0 to 1) of the training is done."""

@@ -246,6 +246,7 @@ class RigsVecEnv(_SharedVecEnv):
 
     def __init__(self, envs: Sequence[AxisVecEnv], features: AnyAxisFeatures) -> None:
         self.envs, self.features = list(envs), features
+        self.lessons: list[NDArray[np.float32]] | None = None  # as those of one rig
         self.render_mode = None
         ends = np.cumsum([env.num_envs for env in envs])
         self._parts = [slice(end - env.num_envs, end) for env, end in zip(envs, ends, strict=True)]
@@ -268,6 +269,8 @@ class RigsVecEnv(_SharedVecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Advance all axes by one control period of their rig."""
+        if self.lessons is not None:
+            self.lessons.append(np.concatenate([env.taught for env in self.envs]))
         results = [env.step(self._actions[part]) for env, part in zip(self.envs, self._parts, strict=True)]
         inputs, rewards, done, infos = zip(*results, strict=True)
         return np.concatenate(inputs), np.concatenate(rewards), np.concatenate(done), [*chain(*infos)]

@@ -3,6 +3,7 @@
 from copy import copy
 
 import numpy as np
+import pandas as pd
 import pytest
 from driven import commands
 from refusal import refused
@@ -70,6 +71,19 @@ def policy(tmp_path_factory):
     trained = train_policy(TASK, SETTINGS, untuned(TASK), seed=1, folder=folder)
     trained.save(folder / "policy")
     return folder, trained
+
+
+def test_a_network_with_nothing_underneath_is_taught_on_drawn_rigs_and_moves_to_another(tmp_path):
+    more = {"residual": False, "teacher": "flow_linearising", "imitated_share": 1.0, "family_units": False}
+    settings = validate(PPOSettings, SETTINGS.model_dump(mode="json") | more | {"total_steps": 1920}, "test")
+    trained = train_policy(TASK, settings, seed=1, folder=tmp_path)
+    miss = pd.read_csv(tmp_path / "progress.csv")["train/miss_of_teacher"]
+    assert miss.iloc[-1] < miss.iloc[0]
+    loaded = PolicyController.load(trained.save(tmp_path / "policy").with_suffix(""))
+    here, there = (policy.moved_to(RIGS[4]) for policy in (trained, loaded))
+    assert here.features.base is None
+    assert commands(here, RIGS[4], 3) == pytest.approx(commands(there, RIGS[4], 3))
+    assert np.ptp(commands(here, RIGS[4], 3)) > 0.0
 
 
 def test_inputs_have_the_same_number_on_every_rig():
