@@ -38,9 +38,9 @@ ROOMS = (
 
 BUDGET = {
     "hydro_env": 62_800,
-    "hydro_agents": 105_200,
-    "hydro_rig": 107_900,
-    "tests": 172_700,
+    "hydro_agents": 105_400,
+    "hydro_rig": 109_000,
+    "tests": 173_800,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 
