@@ -23,7 +23,6 @@ LEARNING = ("torch", "stable_baselines3", "hydro_agents.learning.training", "hyd
     ("line", "most", "absent"),
     [
         ("--help", 55, (*LEARNING, "numba", "scipy", "pandas", "matplotlib")),
-        ("simulate --duration 0.02 --output run", 90, (*LEARNING, "hydro_rig")),
         ("diagnose absent.csv --output new", 135, (*LEARNING, "hydro_agents.learning")),
     ],
 )

@@ -63,6 +63,6 @@ def test_all_mistakes_of_a_file_are_told_and_the_command_ends_with_code_2(tmp_pa
     places += ["randomisation.load.mas", "sensors.pressure_a.hihg", "mass"]
     assert [line.split()[0].rstrip(":") for line in lines] == places
     assert str(len(places)) in heading
-    answer = hydro("simulate", "--rig", "rig.yaml")
+    answer = hydro("record", "--rig", "rig.yaml", "--output", "a.csv")
     assert (answer.returncode, own_lines(answer.stderr)[0]) == (2, "hydro: rig.yaml: 9 mistakes")
     assert [file.name for file in tmp_path.iterdir()] == ["rig.yaml"]

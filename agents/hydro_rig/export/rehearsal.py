@@ -74,6 +74,7 @@ class CBlock:
         size.restype = ctypes.c_size_t
         self._memory = ctypes.create_string_buffer(size())
         self._reset, self._step = getattr(library, f"{prefix}_reset"), getattr(library, f"{prefix}_step")
+        self._step.restype = dict(fields)["command"]
         kind: Any = type("Block", (ctypes.Structure,), {"_fields_": fields})
         self.values = kind.from_buffer(self._memory)
 
@@ -85,8 +86,7 @@ class CBlock:
         """The command for one sample, V; inputs that are not given keep their values."""
         for name in inputs.keys() & self.names:
             setattr(self.values, name, inputs[name])
-        self._step(self._memory)
-        return float(self.values.command)
+        return float(self._step(self._memory))
 
 
 class Scene(NamedTuple):

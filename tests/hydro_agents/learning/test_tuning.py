@@ -38,7 +38,7 @@ def short_rest(monkeypatch):
 
 def test_the_search_improves_the_cost(tmp_path):
     seen = []
-    search = SMALL._replace(evaluations=18)
+    search = SMALL._replace(evaluations=18, separable=True)  # alike on every processor
     best = tune("pid", SHORT, search, tmp_path, seen.append)
     assert [one.evaluations for one in seen] == [6, 12, 18]
     assert seen[-1].cost < seen[0].cost
@@ -63,7 +63,7 @@ def test_of_several_tasks_the_geometric_mean_counts():
 
 
 def test_a_stopped_search_goes_on_bit_equal_and_another_one_begins_anew(tmp_path):
-    search = SMALL._replace(evaluations=18)
+    search = SMALL._replace(evaluations=18, separable=True)  # alike on every processor
     whole = tune("pid", SHORT, search, tmp_path / "whole")
 
     def stop(best):
