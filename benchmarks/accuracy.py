@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks import command_line
 from hydro_agents.running.seeds import ACCURACY
 from hydro_agents.running.text import markdown
-from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
+from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv, simulate
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.equations import parts_of, weights
 from hydro_env.plant.kernel import TOLERANCE
@@ -143,10 +143,20 @@ def convergence_orders(steps: Sequence[float] = FIXED_STEPS) -> list[float]:
     ]
 
 
+def _begins(run: Run) -> bool:
+    """Whether the axis can be held where it begins; another lap or a leak may leave it too little flow."""
+    try:
+        run.states()
+    except HydroError:
+        return False
+    return True
+
+
 def main() -> None:
     """Print the table: worst error and time of every setting over random runs, and the order of fixed steps."""
     given = command_line(__doc__, rigs=240, structure=False)
-    runs = random_runs(given.rigs, given.structure)
+    runs = [run for run in random_runs(given.rigs, given.structure) if _begins(run)]
+    print(f"{len(runs)} of {given.rigs} rigs hold the position at which they begin")
     with ProcessPoolExecutor() as pool:
         exact = list(pool.map(reference, runs))
     rows = []
