@@ -11,6 +11,7 @@ lines with waves, two of three a second mass, and every second one sharp edges.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Iterable, Sequence
@@ -161,11 +162,14 @@ def main() -> None:
         exact = list(pool.map(reference, runs))
     rows = []
     for name, options in SETTINGS.items():
-        worst = np.array([errors([run], [states], **options).max() for run, states in zip(runs, exact, strict=True)])
-        began = time.perf_counter()
-        for run in runs:
-            run.states(**options)
-        milliseconds = 1e3 * (time.perf_counter() - began) / (len(runs) * SAMPLES * SAMPLE_TIME)
+        worst, seconds = np.full(len(runs), math.inf), 0.0  # steps that are too long may leave the valid range
+        for number, run in enumerate(runs):
+            with contextlib.suppress(HydroError):
+                worst[number] = errors([run], [exact[number]], **options).max()
+                began = time.perf_counter()
+                run.states(**options)
+                seconds += time.perf_counter() - began
+        milliseconds = 1e3 * seconds / (np.isfinite(worst).sum() * SAMPLES * SAMPLE_TIME)
         rows.append([name, f"{worst.max():.2e}", f"{100.0 * (worst <= LIMIT).mean():.0f}", f"{milliseconds:.3g}"])
     within = f"rigs within {LIMIT:g}, %"
     print(markdown(("setting", "worst error, of a state's range", within, "ms per simulated s"), rows))
