@@ -78,6 +78,11 @@ class AnyAxisFeatures(PolicyFeatures):
         self._sheet = np.array([*data_sheet(config).values(), *more], np.float32)
 
     @property
+    def leader(self) -> ClassicalController:
+        """The controller in whose units the inputs are: the corrected one, or untuned flow linearisation."""
+        return self.base or FlowLinearising(FlowLinearisingGains(), self.config)
+
+    @property
     def size(self) -> int:
         """Number of inputs: those that move, and the data sheet."""
         return self.moving + len(self._sheet)
@@ -105,7 +110,7 @@ class AnyAxisFeatures(PolicyFeatures):
 
     def normalised(self, leader: Controller | None = None) -> AnyAxisFeatures:
         """The same features with the error of the corrected controller and normalised by its values, by simulation."""
-        leader = leader or self.base or FlowLinearising(FlowLinearisingGains(), self.config)
+        leader = leader or self.leader
         errors = family_errors(self.config, leader, ERROR_PLANTS, sensor_frame=True)
         error = math.exp(np.mean(np.log(list(errors.values())))) / (full_speed(self.config.plant) * pace(self.config))
         features = AnyAxisFeatures(self.config, self.base, self.correction, error, len(self.lags))
@@ -117,7 +122,7 @@ class AnyAxisFeatures(PolicyFeatures):
         Raises:
             ConfigurationError: the rig lacks a sensor that the corrected controller reads.
         """
-        base: Any = self.base or FlowLinearising(FlowLinearisingGains(), config)
+        base: Any = self.leader
         type(base)(base.gains, config)  # names a missing sensor
         usual = task_config(config, episode_duration=TaskConfig().episode_duration)  # longer ones find other gains
         own = self.base and type(base)(gains(kind_of(base), usual), usual)

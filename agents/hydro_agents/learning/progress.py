@@ -19,8 +19,6 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
 
-from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.checkpoint import Checkpoints
 from hydro_agents.learning.features import PolicyFeatures
@@ -203,8 +201,7 @@ class TrainingCallback(BaseCallback):
             law = {"split": "validation", "count": VALIDATION_RIGS}
             for task in rig_tasks(task_config(self._config, law=law)):
                 own = features.moved_to(task)
-                base: Controller = own.base or FlowLinearising(FlowLinearisingGains(), task)
-                self._rigs.append((own, family_errors(task, base, VALIDATION_PLANTS, sensor_frame=True)))
+                self._rigs.append((own, family_errors(task, own.leader, VALIDATION_PLANTS, sensor_frame=True)))
         ratios = []
         for own, wrong in self._rigs:
             policy = PolicyController.from_sb3(self.model, own)

@@ -176,9 +176,10 @@ class AxisWatch:
         stamps = np.array([time for time, _ in self._rows])
         values = np.array([row for _, row in self._rows]).T
         known = np.isfinite(values).any(axis=1)
-        auxiliary = {name: row for name, row, told in zip(SIGNALS, values, known, strict=True) if told}
-        for name in MEASURED:
-            auxiliary.pop(name, None)
+        more = slice(len(MEASURED), None)
+        auxiliary = {
+            name: row for name, row, told in zip(SIGNALS[more], values[more], known[more], strict=True) if told
+        }
         signals = values[: len(MEASURED)]
         return Recording(self.name, stamps - stamps[0], signals, {}, [], auxiliary, float(stamps[0]))
 
