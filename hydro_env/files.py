@@ -183,12 +183,19 @@ def read_json(path: str | Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
     """Read a JSON object of at most ``largest`` bytes.
 
     Raises:
-        ConfigurationError: the file is missing, unreadable or too large, is not JSON or not an object, or nests too
-            deeply.
+        ConfigurationError: the file is missing, unreadable or too large, is not JSON or not an object, repeats a key,
+            or nests too deeply.
     """
+
+    def unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        values = dict(pairs)
+        if len(values) < len(pairs):
+            raise ValueError("a key stands twice")
+        return values
+
     text = read_text(path, largest)
     try:
-        values = json.loads(text)
+        values = json.loads(text, object_pairs_hook=unrepeated)
     except json.JSONDecodeError as error:
         raise ConfigurationError(f"{path}: not valid JSON in line {error.lineno}: {error.msg}") from None
     except (RecursionError, ValueError) as error:  # too many levels, or a number with too many digits

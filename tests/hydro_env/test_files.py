@@ -22,6 +22,7 @@ YAML = [
 JSON = [
     ('{"a": ', "not valid JSON in line 1"),
     ("[" * 90_000, "maximum recursion depth"),
+    ('{"a": 1, "a": 2}', "a key stands twice"),
     ("[1]", "must be a mapping of settings, not list"),
 ]
 HOSTILE = [(read, *case) for read, cases in ((read_yaml, YAML), (read_json, JSON)) for case in cases]
