@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hydro_agents.detection.detector import HALF_WIDTH
+from hydro_agents.detection.detector import HALF_WIDTH, Windows
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.verdict import Leak
@@ -81,9 +81,9 @@ class Oil(NamedTuple):
         return self.factor(middle + deviations * deviation * np.array([0.0, -1.0, 1.0]))
 
 
-def temperature_of(recording: Recording) -> float:
-    """Mean temperature of the oil in a recording, °C; NaN: it was not recorded."""
-    readings = recording.auxiliary.get("oil_temperature", np.zeros(0))
+def temperature_of(measured: Recording | Windows) -> float:
+    """Mean temperature of the oil in a recording, or in windows of it, °C; NaN: it was not recorded."""
+    readings = measured.auxiliary.get("oil_temperature", np.zeros(0))
     known = readings[np.isfinite(readings)]
     return float(known.mean()) if len(known) else np.nan
 

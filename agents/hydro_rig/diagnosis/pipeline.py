@@ -72,12 +72,12 @@ def diagnosed(
     config = on_grid(config, checked.samples.period)
     samples, filled = bridged(checked.samples)
     checked = Checked(samples, [*checked.findings, *filled])
-    findings, warm = checked.findings, temperature_of(recording)
+    findings = checked.findings
     balance = volume_leak(recording)
     if balance is not None:
         balance = balance.on(plant_coefficients(config.plant).area_a)
         if oil is not None:
-            at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, warm)
+            at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, temperature_of(recording))
             balance = balance._replace(**at_40._asdict())
         what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
         findings.append(Finding("flow", what, Weight.NOTE))
@@ -96,7 +96,7 @@ def diagnosed(
             findings.append(Finding("command", what, Weight.SEVERE))
     if oil is not None:
         sizes: list[Any] = [reading.flow_lpm, reading.low_lpm, reading.high_lpm]
-        leak: Any = referred(Leak(*sizes), oil, warm)
+        leak: Any = referred(Leak(*sizes), oil, temperature_of(windows))  # the oil warms up in a long recording
         reading = reading._replace(flow_lpm=leak.value, low_lpm=leak.low, high_lpm=leak.high)
     limits, blind = Limits.of(config), bool(np.isnan(recording.signals[[PRESSURE_A, PRESSURE_B]]).all())
     verdict = judge(Case(findings, reading, limits, window, residual, blind))

@@ -67,7 +67,7 @@ def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_
     return {
         "verdict": verdict.kind.value,
         "reason": "; ".join(dict.fromkeys(filter(None, [verdict.why, *faults]))),
-        "temperature": temperature_of(recording),
+        "temperature": temperature_of(found.windows if len(found.windows) else recording),
         "size_40": leak.value,
         "low_40": leak.low,
         "high_40": leak.high,

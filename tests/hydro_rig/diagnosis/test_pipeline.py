@@ -6,14 +6,18 @@ import pytest
 from command_line import hydro, own_lines
 from recorded import CONFIG, recorded_file
 
-from hydro_agents.detection.detector import Why
+from hydro_agents.detection.detector import Reading, Why
 from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis import diagnose as diagnosing
 from hydro_rig.diagnosis.diagnose import diagnose
+from hydro_rig.diagnosis.oil import Oil
+from hydro_rig.diagnosis.pipeline import Read, diagnosed
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind, Limits, Verdict, by_volume
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
+from hydro_rig.recordings.recording import read_recording
+from hydro_rig.recordings.sampling import cut
 
 AREA = plant_coefficients(CONFIG.plant).area_a
 UNKNOWN = EXIT_CODES[Kind.UNKNOWN]
@@ -128,3 +132,25 @@ def test_a_failure_inside_a_reading_is_one_line(recordings, monkeypatch, error):
     assert verdict.why.startswith("windows cannot be read: ")
     assert str(error).split("\n")[0] in verdict.line()
     assert "\n" not in verdict.line()
+
+
+def test_a_leak_has_the_oil_temperature_of_the_windows_that_were_read(tmp_path):
+    recorded_file(tmp_path / "axis.csv", leakage=0.3, duration=8.0)
+    rows = pd.read_csv(tmp_path / "axis.csv", comment="#")
+    rows["oil_temperature [°C]"] = np.where(rows["time [s]"] < 4.0, 20.0, 60.0)
+    rows.to_csv(tmp_path / "axis.csv", index=False)
+    recording, oil = read_recording(tmp_path / "axis.csv"), Oil.of("46")
+
+    def factor_of(first):
+        def choose(samples):
+            return cut(samples, round(2.0 / samples.period)).part(np.arange(2) + first)
+
+        def read(windows, config):
+            del config
+            size = np.full(len(windows), 0.3)
+            known = {"probability": 1.0, "flow_lpm": size, "low_lpm": 0.9 * size, "high_lpm": 1.1 * size}
+            return Read(Reading.of(size, **known))
+
+        return diagnosed(recording, CONFIG, choose, read, 2.0, oil).reading.flow_lpm[0] / 0.3
+
+    assert [factor_of(0), factor_of(2)] == pytest.approx(oil.factor([20.0, 60.0]))
