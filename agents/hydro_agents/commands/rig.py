@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from hydro_agents.commands.options import Latency, OverwriteFile, Period, Rig, check_new_file, say
+from hydro_agents.commands.options import Latency, OverwriteFile, Period, Rig, check_new_file, command_line, say
 from hydro_agents.rigs.rig_file import QUESTIONS, Question, answers_from, parsed
 from hydro_agents.rigs.rig_file import new_rig as written_rig
 from hydro_env import ConfigurationError
@@ -170,7 +170,15 @@ def _answer(question: Question) -> str:
             return text
 
 
-def check_rig(rig: Rig = None, period: Period = None, latency: Latency = None) -> None:
+def check_rig(
+    rig: Rig = None,
+    period: Period = None,
+    latency: Latency = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Page to write: all figures, Bode and step plots.")
+    ] = None,
+    overwrite: OverwriteFile = False,
+) -> None:
     """Print the figures that an engineer calculates by hand for a rig, and refuse a rig that cannot work.
 
     The figures are areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional
@@ -179,4 +187,12 @@ def check_rig(rig: Rig = None, period: Period = None, latency: Latency = None) -
     """
     from hydro_agents.rigs.check_table import check_to_console
 
-    check_to_console(rig, period, latency)
+    if output is None:
+        check_to_console(rig, period, latency)
+        return
+    from hydro_agents.rigs.check_page import check_page
+    from hydro_agents.running.machine import Origin
+
+    check_new_file(output, overwrite)
+    check_to_console(rig, period, latency, lambda *found: check_page(*found).write(output, Origin.now(command_line())))
+    say(f"page: {output.resolve()}")

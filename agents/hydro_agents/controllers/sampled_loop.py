@@ -108,6 +108,27 @@ class SampledLoop:
         first = self._first_unstable(gain * np.exp(-1j * np.radians(angles)))
         return float("inf") if first is None else float(angles[max(first - 1, 0)])
 
+    def frequency_response(self, frequencies: Floats) -> NDArray[np.complex128]:
+        """Response of the position to the command at frequencies in Hz, (n,) → m per command (1 = 10 V), (n,)."""
+        z = np.exp(2j * np.pi * self.control_period * np.asarray(frequencies))[:, None]
+        inputs = z**-self.late * (self.input_new + self.input_old / z)
+        matrix = z[..., None] * np.eye(len(self.transition)) - self.transition
+        states = np.linalg.solve(matrix, inputs[..., None])[:, :, 0]
+        return np.asarray(self.position_size * states[:, 0])
+
+    def step_response(self, gain: float, periods: int) -> Floats:
+        """Position after a step of the set point by 1 at the first of some periods, (periods,)."""
+        matrix, count = self.closed(gain), len(self.input_new)
+        given = np.zeros(len(matrix))
+        given[count] = gain
+        if not self.late:
+            given[:count] = gain * self.input_new
+        state, positions = np.zeros(len(matrix)), np.zeros(periods)
+        for n in range(1, periods):
+            state = matrix @ state + given
+            positions[n] = self.position_size * state[0]
+        return positions
+
     def static_stiffness(self, gain: float) -> float:
         """Constant external force per steady-state position error, N/m, with the loop closed; inf without an error."""
         matrix = self.a.copy()

@@ -118,13 +118,19 @@ def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> dict[str,
     return unset
 
 
-def check_to_console(rig: Path | None, period: str | None = None, latency: str | None = None) -> None:
+def check_to_console(
+    rig: Path | None,
+    period: str | None = None,
+    latency: str | None = None,
+    write: Callable[..., None] = lambda *_: None,
+) -> None:
     """Print the table of a rig.
 
     Args:
         rig: its file; ``None`` is the paper's.
         period: control period with its unit; default: that of the task.
         latency: of the command, the same.
+        write: takes name, facts, figures and task, to write a page.
 
     Raises:
         ConfigurationError: the rig is wrong or cannot work, or the timing is impossible.
@@ -135,7 +141,8 @@ def check_to_console(rig: Path | None, period: str | None = None, latency: str |
     task = timed_task(None, rig, period, latency, "check-rig")
     rows = [*check_rig(given.plant, given.source, task), *sensor_rows(given, task)]
     facts = ConsoleTable(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for fact in brief(rows, given.plant):
+    said = brief(rows, given.plant)
+    for fact in said:
         facts.add_row(*fact)
     console = PlainConsole()
     for line in (f"{name}: {_summary(given)}", *implausible(given.plant), *_short_sensors(task)):
@@ -152,6 +159,7 @@ def check_to_console(rig: Path | None, period: str | None = None, latency: str |
     cells = [(row.quantity, row.at, row.text(4), row.unit) for row in rows]
     table = Table("", HEADINGS, cells, breaks=breaks)
     console.print(console_table(table, left=(0, 1, 3)))  # narrow enough for a terminal of 80 columns
+    write(name, said, rows, task)
 
 
 def _short_sensors(task: TaskConfig) -> list[str]:

@@ -78,3 +78,13 @@ def test_whole_periods_of_latency_only_turn_the_phase_and_cost_gain():
         answer = response(loop, gain * (1.0 - 1e-6), np.array([frequency]))
         assert abs((answer / (1.0 - answer))[0] + 1.0) < 1e-3
         assert final_value(loop, 0.5 * gain) == pytest.approx(final_value(loops[0], 0.5 * gain))
+
+
+@pytest.mark.parametrize("latency", [1e-3, 7e-3])
+def test_step_and_frequency_response_tell_the_same(latency):
+    """The step's increments are the impulse response, whose transform is g G/(1 + g G)."""
+    loop, gain, count = sampled_loop(leaking(4.0), latency=latency), 20.0, 4096
+    increments = np.diff(loop.step_response(gain, count), prepend=0.0)
+    frequencies = np.arange(1, count // 2, 97) / (count * loop.control_period)
+    opened = gain * loop.frequency_response(frequencies)
+    assert np.allclose(np.fft.fft(increments)[1 : count // 2 : 97], opened / (1.0 + opened), atol=1e-6)

@@ -20,6 +20,7 @@ from hydro_agents.learning.stable_gain import (
     weakest,
 )
 from hydro_agents.rigs.check import check_rig, resting_place
+from hydro_agents.rigs.check_page import check_page
 from hydro_agents.rigs.check_table import brief, implausible
 from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
@@ -257,3 +258,12 @@ def test_a_rig_with_structure_tells_its_resonances(changes, what, few, monkeypat
         assert (min(damping) < 0.0) == excited
         worst = found[int(np.argmin(damping))]
         assert (f"the recommended gain excites the resonance at {worst:.3g} Hz" in lines["verdict"]) == excited
+
+
+def test_the_page_holds_the_figures_and_the_plots(few, tmp_path):
+    task = TaskConfig()
+    page = check_page("axis", brief(ROWS, task.plant), ROWS, task).html()
+    assert page.count("<figure") == 2
+    assert all(name in page for name in ("12.57", "recommended gain", "frequency, Hz", "4 l/min"))
+    answer = hydro("check-rig", "--output", tmp_path)
+    assert_one_clear_line(answer, "is a folder")
