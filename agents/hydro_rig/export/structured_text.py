@@ -107,8 +107,10 @@ class TextWriter(Writer):
             name, count = f"{self._name}Product{len(self.functions) + 1}", min(step, rows - first)
             numbers = matrix.table[first * columns : (first + count) * columns]
             weights = self.table("weights", matrix.kind, numbers)
-            values = {"name": name, "weights": weights, "first": first, "rows": count, "columns": columns}
-            self.functions.append(values)
+            i, j = ("0" if size == 1 else letter for letter, size in zip("ij", (count, columns), strict=True))
+            sum_up = f"totals[{j}] := totals[{j}] + factors[{first} + {i}] * weights[{i} * {columns} + {j}];"
+            sum_up = self._loop("i", count, self._loop("j", columns, sum_up))  # FOR i := 0 TO 0: MATIEC skips it
+            self.functions.append({"name": name, "weights": weights, "sum_up": sum_up})
             calls.append(f"done := {name}(factors, totals);")
         return calls
 

@@ -13,6 +13,7 @@ from structured_text import FunctionBlock
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv
+from hydro_rig.export import structured_text as writing
 from hydro_rig.export.controller import controller_graph
 from hydro_rig.export.controller_folder import IN_SINGLE
 from hydro_rig.export.structured_text import RESERVED, structured_text
@@ -111,6 +112,14 @@ def test_it_keeps_the_rules_of_the_compilers_of_the_second_edition(kind, exporte
     held = re.findall(r"^    \w+ : (?:ARRAY\[0\.\.(\d+)\] OF )?(REAL|LREAL|DINT|BOOL)", instance, flags=re.MULTILINE)
     assert sum((int(last or 0) + 1) * bytes_of[name] for last, name in held) <= 7_000  # and two rows of a product
     assert max(int(last) for last in re.findall(r"ARRAY\[0\.\.(\d+)\]", text)) < 1_000
+
+
+def test_a_function_of_one_row_has_no_loop_over_it(exported, monkeypatch):
+    """MATIEC leaves out a loop from 0 to 0, and with it one of 46 inputs: 0.04 V."""
+    monkeypatch.setattr(writing, "LARGEST_TABLE", 150)  # of rows of 128
+    text = structured_text(exported("ppo").graph)
+    assert "factors[1 + 0] * weights[0 *" in text
+    assert "TO 0 DO" not in text
 
 
 @pytest.mark.parametrize("kind", KINDS)
