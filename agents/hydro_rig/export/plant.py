@@ -11,6 +11,7 @@ import hashlib
 import io
 import math
 import platform
+import re
 import sys
 import uuid
 import zipfile
@@ -45,6 +46,13 @@ from hydro_rig.export.translator import Translator
 MODEL = "hydro_axis"
 BINARIES = {"linux": ("linux64", ".so"), "win32": ("win64", ".dll"), "darwin": ("darwin64", ".dylib")}
 """Folder and suffix of the binary in the FMU, by system; FMI 2.0 knows 64-bit x86 alone."""
+
+BASE_UNITS = {
+    "N": (1.0, {"kg": 1, "m": 1, "s": -2}), "Pa": (1.0, {"kg": 1, "m": -1, "s": -2}),
+    "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}), "Ohm": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
+    "H": (1.0, {"kg": 1, "m": 2, "s": -2, "A": -2}), "l": (1e-3, {"m": 3}), "min": (60.0, {"s": 1}),
+}  # fmt: skip
+"""Factor and exponents of the SI base units; all others are base units."""
 
 _ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
 
@@ -162,6 +170,21 @@ def _in_letters(unit: str) -> str:
     return "" if unit == "1" else unit.translate(_ASCII)
 
 
+def base_unit(unit: str) -> dict[str, float]:
+    """Exponents of the SI base units, and the factor, of a unit in letters; empty: one is a root, which FMI lacks."""
+    found: dict[str, float] = {}
+    if "sqrt" in unit:
+        return found
+    for side, sign in zip(unit.split("/", 1), (1, -1), strict=False):
+        for name, power in re.findall(r"([A-Za-z]+)(\d?)", side):
+            factor, exponents = BASE_UNITS.get(name, (1.0, {name: 1}))
+            exponent = sign * int(power or 1)
+            found["factor"] = found.get("factor", 1.0) * factor**exponent
+            for base, own in exponents.items():
+                found[base] = found.get(base, 0) + exponent * own
+    return found
+
+
 def with_one_leak(config: TaskConfig) -> PlantParameters:
     """The rig of a task whose piston leaks by the task's law alone."""
     own = LEAK_LAWS[config.leakage.law].parameter
@@ -181,7 +204,7 @@ def make_fmu(config: TaskConfig) -> bytes:
         "version": __version__,
         "model": MODEL,
         "variables": variables,
-        "units": sorted({variable.unit for variable in variables} - {""}),
+        "units": {unit: base_unit(unit) for unit in sorted({variable.unit for variable in variables} - {""})},
         "infinite": math.inf,
         "axis": kind.__name__,
         "states": kind._fields,

@@ -72,6 +72,17 @@ class Instance:
         return line
 
 
+def test_units_are_those_of_si(file):
+    """By hand: the leakage resistance in Pa s/m³ is kg/(m⁴ s); l/min is the one unit that is no SI unit."""
+    units = {unit.name: unit.baseUnit for unit in fmpy.read_model_description(str(file)).unitDefinitions}
+    resistance, flow, voltage = units["Pa s/m3"], units["l/min"], units["V"]
+    assert (resistance.kg, resistance.m, resistance.s, resistance.A, resistance.factor) == (1, -4, -1, 0, 1.0)
+    assert (flow.m, flow.s, flow.factor) == (3, -1, pytest.approx(1.0 / 60_000.0))
+    assert (voltage.kg, voltage.m, voltage.s, voltage.A) == (1, 2, -3, -1)
+    assert [name for name, unit in units.items() if unit is None] == ["m3/(s sqrt Pa)"]
+    assert {name for name, unit in units.items() if unit and unit.factor != 1.0} == {"l/min"}
+
+
 def test_the_checker_has_no_complaint(file):
     from fmpy.validation import validate_fmu
 
