@@ -9,9 +9,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from hydro_env.errors import ConfigurationError
 from hydro_env.task.rig import Rig, rig_from
-from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE, rounded
+from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE, in_si, rounded
 
 BAR = 1e5
 STEEL = 7850.0  # kg/m³
@@ -98,8 +100,9 @@ def rig_values(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
     Args:
         figures: numbers in SI by the keys of ``QUESTIONS`` in :mod:`hydro_agents.rigs.rig_file`; texts for
-            ``line_kind`` (pipe or hose), ``line_waves`` (yes or no), ``edges`` (rounded or sharp),
-            ``pressure_sensors`` (cylinder or valve) and ``absent`` (sensors that the rig lacks, with commas).
+            ``flow_curve`` (:func:`lap_and_knee`), ``line_kind`` (pipe or hose), ``line_waves`` (yes or no), ``edges``
+            (rounded or sharp), ``pressure_sensors`` (cylinder or valve) and ``absent`` (sensors that the rig lacks,
+            with commas).
 
     Raises:
         ConfigurationError: a figure lacks another one.
@@ -151,8 +154,49 @@ def _piston_mass(figures: Mapping[str, Any]) -> float:
     return float(STEEL * (1.2 * figures["stroke"] * rod + 0.5 * figures["bore"] * bore))
 
 
+def lap_and_knee(curve: str) -> tuple[float, float, float, float]:
+    """Overlap, position and opening of the knee, and what they leave, that fit the flow curve of a catalogue best.
+
+    Args:
+        curve: points of signal and flow at the rated drop, each in % of full: ``20%:4%, 50%:30%, 100%:100%``.
+
+    Returns:
+        Overlap, of full stroke; position and opening of the knee (:func:`~hydro_env.plant.parts.valve.edge_openings`);
+        and the largest difference to a point, of full flow.
+
+    Raises:
+        ValueError: these are no rising points that end at 100 % of both.
+    """
+    points = [[in_si(part.strip(), "1") for part in point.split(":")] for point in curve.split(",")]
+    if any(len(point) != 2 or not all(isinstance(part, float) for part in point) for point in points):
+        raise ValueError("must be points SIGNAL:FLOW in %")
+    signal, flow = np.array(points).T
+    if (
+        len(points) < 3
+        or (np.diff(signal) <= 0.0).any()
+        or (np.diff(flow) < 0.0).any()
+        or min(signal[0], flow[0]) < 0.0
+    ):
+        raise ValueError("must be three points or more that rise from 0 % on")
+    if signal[-1] != 1.0 or flow[-1] != 1.0:
+        raise ValueError("must end at 100%:100%")
+    overlap, knee = np.meshgrid(np.linspace(0.0, 0.5, 251), np.linspace(0.01, 0.99, 99), indexing="ij")
+    beyond = np.maximum(signal - overlap[..., None], 0.0) / (1.0 - overlap[..., None])
+    above = np.maximum(beyond - knee[..., None], 0.0) / (1.0 - knee[..., None])
+    below = np.minimum(beyond / knee[..., None], 1.0) - above  # flow = above + opening at the knee · below
+    weight = np.maximum((below**2).sum(-1), 1e-9)
+    opening = np.clip(((flow - above) * below).sum(-1) / weight, 0.01, 0.99)
+    rest = np.abs(flow - above - opening[..., None] * below)
+    best = np.unravel_index(np.argmin((rest**2).sum(-1)), knee.shape)
+    return float(overlap[best]), float(knee[best]), float(f"{opening[best]:.3g}"), float(rest[best].max())
+
+
 def _valve(figures: Mapping[str, Any]) -> dict[str, Any]:
-    overlap = figures.get("overlap", 0.0)
+    curve, lap_of_curve = {}, 0.0
+    if "flow_curve" in figures:
+        lap_of_curve, position, opening, _ = lap_and_knee(figures["flow_curve"])
+        curve = {"knee_position": position, "knee_opening": opening}
+    overlap = figures.get("overlap", lap_of_curve)
     underlap = 0.002 if overlap else 0.01
     if "null_flow" in figures:
         drop = math.sqrt(figures.get("rated_drop", 70.0 * BAR) / figures["supply_pressure"])
@@ -164,7 +208,7 @@ def _valve(figures: Mapping[str, Any]) -> dict[str, Any]:
         lap = 0.0 if overlap else -0.5 * underlap / (1.0 - 0.5 * underlap)
         overlap, underlap = rounded(lap, "%"), 0.0
     else:
-        overlap = 0.0
+        overlap = lap_of_curve
     slew_limit = rounded(0.2 * figures.get("bandwidth", BANDWIDTH))
     if "step_time" in figures:
         slew_limit = rounded(1 / figures["step_time"], digits=4)
@@ -181,6 +225,7 @@ def _valve(figures: Mapping[str, Any]) -> dict[str, Any]:
         "slew_limit": slew_limit,
         "underlap": underlap,
         "overlap": overlap,
+        **curve,
         "null_shift": 0.0,
         "edge_ratio": 1.0,
         "coil_resistance": COIL_RESISTANCE,

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from hydro_env.errors import ConfigurationError
 from hydro_env.mistakes import one_of
 from hydro_env.plant.parameters import PARAMETER_UNITS
-from hydro_env.task.nameplates import FIELDS, position_error, rig_of, rig_values
+from hydro_env.task.nameplates import FIELDS, lap_and_knee, position_error, rig_of, rig_values
 from hydro_env.task.rig import Rig
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.units import FACTORS, UNITS, in_si, split_quantity
@@ -55,6 +55,9 @@ QUESTIONS = (
     Question("full-signal", "valve", SIGNAL, "10 V", "Input for full opening: a voltage, or a current of the coil."),
     Question("null-flow", "valve", "m³/s", "0.5 l/min", "Leakage flow of the valve at null, at the supply pressure."),
     Question("overlap", "valve", "1", "10 %", "Dead band to each side of null, of full stroke; 0 % if compensated."),
+    Question(
+        "flow-curve", "valve", "", "20%:4%, 50%:30%, 100%:100%", "Catalogue's flow curve: points SIGNAL:FLOW, of full."
+    ),
     Question("edges", "valve", "", "sharp", "Metering edges: rounded (worn), or sharp as in the textbook."),
     Question("spool-ratio", "valve", "1", "0.5", "Edges of chamber b over those of chamber a; 0.5 for a 2:1 spool."),
     Question("supply-pressure", "supply", "Pa", "160 bar", "Supply pressure at the valve.", required=True),
@@ -102,6 +105,12 @@ def parsed(question: Question, text: str) -> float | str:
             if word not in known:
                 raise ConfigurationError(f"{place}: '{word[:40]}': {one_of(word, known)}")
         return ",".join(words)
+    if question.key == "flow_curve":
+        try:
+            lap_and_knee(text)
+        except ValueError as error:
+            raise ConfigurationError(f"{place}: {error}, such as {question.example}") from None
+        return text
     unit, share = question.unit, question.example.endswith("%")
     if unit == SIGNAL:
         unit = "A" if text.strip().endswith(tuple(UNITS["A"])) else "V"
@@ -315,6 +324,10 @@ def _origins(texts: Mapping[str, str]) -> dict[str, str]:
     if "full_current" in texts:
         sent = f"{texts['full_current']}, which the amplifier sends at a command of 10 V"
         origins["valve.amplifier_gain"] = f"computed: full opening at {sent}"
+    if "flow_curve" in texts:
+        rest = 100.0 * lap_and_knee(texts["flow_curve"])[-1]
+        origins["valve.overlap"] = f"fitted with the knee to the flow curve; differs by up to {rest:.2g} % of full flow"
+        origins |= {"valve.knee_position": "fitted to the flow curve", "valve.knee_opening": "fitted to the flow curve"}
     if texts.get("edges") == "sharp":
         origins["valve.underlap"] = "given: sharp edges"
         origins["valve.overlap"] = "computed from the null flow: all four edges are open at the null"

@@ -14,6 +14,8 @@ from hydro_agents.rigs.check_table import sensor_rows
 from hydro_agents.rigs.rig_file import QUESTIONS, answers_from, new_rig
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.parts.valve import edge_openings
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 
@@ -93,6 +95,20 @@ def test_the_null_flow_gives_the_underlap(overlap):
     assert run.supply_flow[-1] == pytest.approx(1e-3 / 60, rel=0.01)
 
 
+@pytest.mark.parametrize(("overlap", "knee", "opening"), [(0.1, 0.4, 0.2), (0.0, 0.6, 0.4), (0.2, 0.5, 0.3)])
+def test_a_flow_curve_gives_lap_and_knee(overlap, knee, opening):
+    """Points of a known valve, rounded as a reader of a catalogue would, are met again."""
+    valve = {"overlap": overlap, "knee_position": knee, "knee_opening": opening, "underlap": 0.0}
+    known = plant_coefficients(PlantParameters().replace(valve={**valve, "null_shift": 0.0}))
+    signals = [0.05, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0]
+    flows = [round(100 * edge_openings(signal, known)[0], 1) for signal in signals]
+    text, rig = made(flow_curve=",".join(f"{100 * x:g}%:{y}%" for x, y in zip(signals, flows, strict=True)))
+    found = plant_coefficients(rig.plant)
+    assert rig.plant.valve.overlap == pytest.approx(overlap, abs=0.01)
+    assert [100 * edge_openings(signal, found)[0] for signal in signals] == pytest.approx(flows, abs=1.0)
+    assert "fitted with the knee to the flow curve; differs by up to 0" in text
+
+
 @pytest.mark.parametrize("signal", ["5 V", "40 mA", "10 V"])
 def test_the_full_signal_opens_the_valve_fully(signal):
     """A current is what the amplifier sends at 10 V; a voltage is the command itself."""
@@ -165,6 +181,9 @@ WRONG = {
     "too strong a force": ({"external_force": "90 kN"}, "load.external_force = 90000 N"),
     "no pump": ({"accumulator": "4 l"}, "pump-flow"),
     "more than everything": ({"overlap": "120 %"}, "0 to 100 %"),
+    "a curve that falls": ({"flow_curve": "20%:30%, 50%:20%, 100%:100%"}, "that rise from 0 %"),
+    "a curve in l/min": ({"flow_curve": "2 V:3 l/min"}, "flow-curve '2 V:3 l/min': "),
+    "half a curve": ({"flow_curve": "0%:0%, 20%:4%, 50%:30%"}, "end at 100%:100%"),
     "no share that swings": ({"structure_frequency": "6 Hz", "structure_share": "0 %"}, "structure-share '0 %'"),
     "sensors at the valve without lines": ({"pressure_sensors": "valve"}, "line-length"),
     "an unknown sensor": ({"absent": "position"}, "absent 'position'"),
