@@ -27,7 +27,7 @@ class Gains(StrEnum):
     FIGURES = "figures"
 
 
-FMU_FILE = "hydro_axis.fmu"
+FMU_FILES = "hydro_axis.fmu", "hydro_axis_fmi3.fmu"
 JOB = "export"
 HEAD = "leakage_head"
 
@@ -70,10 +70,10 @@ def export(
 ) -> None:
     """Write the plant, a controller or the leakage head for other tools, or for your own C program.
 
-    `hydro export plant` writes `hydro_axis.fmu` (FMI 2.0 co-simulation for Simulink, Amesim, OpenModelica and others,
-    with the binary of this platform and its sources; it needs a C compiler) and `plant.c`, `plant.h` (C99, no library
-    but the mathematical one). Its inputs are the voltage of the valve, an external force, the leak and the faults. With
-    `--rig` the parameters are those of your rig.
+    `hydro export plant` writes `hydro_axis.fmu` and `hydro_axis_fmi3.fmu` (co-simulation, FMI 2.0 and 3.0, for
+    Simulink, Amesim, OpenModelica and others, with the binary of this platform and its sources; it needs a C compiler)
+    and `plant.c`, `plant.h` (C99, no library but the mathematical one). Its inputs are the voltage of the valve, an
+    external force, the leak and the faults. With `--rig` the parameters are those of your rig.
 
     `hydro export CONTROLLER` writes a folder that needs nothing of this project to run: the controller from measured
     signals in SI units to the voltage of the valve as `controller.onnx`, as C99 and as Structured Text (IEC 61131-3),
@@ -129,15 +129,15 @@ Job = tuple[Sequence[str], Callable[[], Exported]]  # names of the files, and wh
 
 def _plant(task: str | None, rig: Path | None) -> Job:
     from hydro_env.task.configuration import task_config
-    from hydro_rig.export.plant import make_fmu, plant_code
+    from hydro_rig.export.plant import make_fmus, plant_code
 
     config = task_config(task, rig=rig)
 
     def make() -> Exported:
         sources = {name: text.encode() for name, text in plant_code(config.plant).files.items()}
-        return {**sources, FMU_FILE: make_fmu(config)}, ()
+        return {**sources, **dict(zip(FMU_FILES, make_fmus(config), strict=True))}, ()
 
-    return (FMU_FILE, "plant.h", "plant.c"), make
+    return (*FMU_FILES, "plant.h", "plant.c"), make
 
 
 def _head(what: str, request: _Request) -> Job:

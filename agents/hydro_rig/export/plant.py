@@ -1,8 +1,8 @@
-"""The plant and its integrator as C99, without any library but ``math.h``, and as an FMU: FMI 2.0 co-simulation.
+"""The plant and its integrator as C99, without any library but ``math.h``, and as FMUs for co-simulation.
 
 Inputs of the FMU: voltage of the valve, external force, leakage past the piston, faults. Outputs: states, flows and
     forces, and the readings of ideal sensors. Standard: *Functional Mock-up Interface for Model Exchange and
-    Co-Simulation*, version 2.0.
+    Co-Simulation*, versions 2.0 and 3.0.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import re
 import sys
 import uuid
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from hydro_env import HydroError, TaskConfig, __version__, equilibrium
@@ -44,8 +44,12 @@ from hydro_rig.export.expressions import DOUBLE
 from hydro_rig.export.translator import Translator
 
 MODEL = "hydro_axis"
-BINARIES = {"linux": ("linux64", ".so"), "win32": ("win64", ".dll"), "darwin": ("darwin64", ".dylib")}
-"""Folder and suffix of the binary in the FMU, by system; FMI 2.0 knows 64-bit x86 alone."""
+BINARIES = {
+    "linux": ("linux64", "x86_64-linux", ".so"),
+    "win32": ("win64", "x86_64-windows", ".dll"),
+    "darwin": ("darwin64", "x86_64-darwin", ".dylib"),
+}
+"""Folders of the binary in the FMUs (FMI 2.0, 3.0) and its suffix, by system."""
 
 BASE_UNITS = {
     "N": (1.0, {"kg": 1, "m": 1, "s": -2}), "Pa": (1.0, {"kg": 1, "m": -1, "s": -2}),
@@ -192,12 +196,14 @@ def with_one_leak(config: TaskConfig) -> PlantParameters:
     return config.plant.replace(leakage=tight)
 
 
-def make_fmu(config: TaskConfig) -> bytes:
-    """The FMU of a task, with its rig, as the bytes of a zip file; the same task gives the same sources.
+def make_fmus(config: TaskConfig) -> tuple[bytes, bytes]:
+    """The FMUs of a task, with its rig, in FMI 2.0 and 3.0, as the bytes of zip files; a task gives the same sources.
 
     Raises:
         HydroError: this machine has no C compiler or no 64-bit x86, or the compiler failed.
     """
+    if sys.platform not in BINARIES or platform.machine().lower() not in ("x86_64", "amd64"):
+        raise HydroError(f"the FMU has no binary for {sys.platform} on {platform.machine()}; it needs 64-bit x86")
     variables, kind = fmu_variables(config), state_kind(config.plant.structure)
     code = plant_code(config.plant)
     values = {
@@ -216,13 +222,23 @@ def make_fmu(config: TaskConfig) -> bytes:
     }
     digest = hashlib.sha256((code.source + render("fmu.c.j2", values)).encode()).hexdigest()
     values["guid"] = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, digest)) + "}"
-    sources = {"plant.h": code.header, "plant.c": code.source, "fmu.c": render("fmu.c.j2", values)}
-    files = {"modelDescription.xml": render("modelDescription.xml.j2", values).encode()}
+    plant, core = {"plant.h": code.header, "plant.c": code.source}, render("fmu.c.j2", values)
+    folder, newer_folder, suffix = BINARIES[sys.platform]
+    return (
+        _packed(render("modelDescription.xml.j2", values), {**plant, "fmu.c": core}, f"{folder}/{MODEL}{suffix}"),
+        _packed(
+            render("modelDescription3.xml.j2", values),
+            {**plant, "fmu.h": core, "fmi3.c": render("fmi3.c.j2", values)},
+            f"{newer_folder}/{MODEL}{suffix}",
+        ),
+    )
+
+
+def _packed(description: str, sources: Mapping[str, str], binary: str) -> bytes:
+    """An FMU, with what the compiler makes of the sources."""
+    files = {"modelDescription.xml": description.encode()}
     files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
-    if sys.platform not in BINARIES or platform.machine().lower() not in ("x86_64", "amd64"):
-        raise HydroError(f"FMI 2.0 has no binary for {sys.platform} on {platform.machine()}; it needs 64-bit x86")
-    folder, suffix = BINARIES[sys.platform]
-    files[f"binaries/{folder}/{MODEL}{suffix}"] = compiled(sources, ["-shared", "-fvisibility=hidden", "-fPIC"])
+    files[f"binaries/{binary}"] = compiled(sources, ["-shared", "-fvisibility=hidden", "-fPIC"])
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():

@@ -11,7 +11,7 @@ from hydro_env.plant.parts.leakage import LeakLaw, leak_past_piston
 from hydro_env.task.configuration import task_config
 from hydro_rig.export import plant
 from hydro_rig.export.c_files import c_compiler
-from hydro_rig.export.plant import make_fmu
+from hydro_rig.export.plant import make_fmus
 
 PERIOD, SAMPLES, PLACE = 5e-3, 80, 0.02
 VOLTAGE = np.where(np.arange(SAMPLES) < 20, 1.0, -2.0)
@@ -23,8 +23,38 @@ pytestmark = pytest.mark.skipif(c_compiler() is None, reason="this machine has n
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     path = tmp_path_factory.mktemp("fmu") / "axis.fmu"
-    path.write_bytes(make_fmu(TaskConfig()))
+    path.write_bytes(make_fmus(TaskConfig())[0])
     return path
+
+
+@pytest.fixture(scope="module")
+def newer(tmp_path_factory):
+    path = tmp_path_factory.mktemp("fmu") / "axis3.fmu"
+    path.write_bytes(make_fmus(TaskConfig())[1])
+    return path
+
+
+def test_in_fmi_3_the_checker_has_no_complaint_and_the_motion_is_the_same(file, newer):
+    from fmpy.validation import validate_fmu
+
+    assert validate_fmu(str(newer)) == []
+    names = ["position", "pressure_a", "leakage_flow", "holding_voltage"]
+    steps = np.array([(PERIOD * n, v) for n, v in enumerate(VOLTAGE)], dtype=[("time", "f8"), ("voltage", "f8")])
+    options = {"stop_time": PERIOD * SAMPLES, "output_interval": PERIOD, "output": names, "input": steps}
+    options |= {"start_values": {"initial_position": PLACE, "leakage": 1.0}, "fmi_type": "CoSimulation"}
+    old, new = (fmpy.simulate_fmu(str(one), **options) for one in (file, newer))
+    assert np.ptp(old["position"]) > 0.005
+    for name in ("time", *names):
+        assert np.array_equal(old[name], new[name]), name
+    assert {each.unit for each in fmpy.read_model_description(str(newer)).modelVariables} >= {"Pa s/m3", "l/min"}
+
+
+def test_in_fmi_3_a_wrong_value_is_logged_in_one_line(newer):
+    lines = []
+    wrong = {"start_values": {"rig.load.mass": -1.0}, "logger": lambda *said: lines.append(said[-1].decode())}
+    with pytest.raises(Exception, match="fmi3SetFloat64"):
+        fmpy.simulate_fmu(str(newer), **wrong)
+    assert lines[0].startswith("rig.load.mass = -1 kg: must be a number within")
 
 
 def run_fmu(file, **values):
@@ -94,7 +124,7 @@ def test_it_moves_as_the_kernel_does(law, file, tmp_path):
     if law != TaskConfig().leakage.law:
         file = tmp_path / "axis.fmu"
         rig = PlantParameters().replace(leakage=leak_past_piston(0.03, law)).model_dump()
-        file.write_bytes(make_fmu(task_config(plant=rig, leakage={"law": law})))
+        file.write_bytes(make_fmus(task_config(plant=rig, leakage={"law": law}))[0])
     own = PlantParameters().replace(leakage=leak_past_piston(2.0, law), valve={"null_shift": 0.01})
     rest, voltage = equilibrium(own, PLACE)
     expected = simulate(own, VOLTAGE, PERIOD, rest)
@@ -161,7 +191,7 @@ def test_what_is_out_of_range_or_fixed_is_refused_in_one_line(file):
 def test_its_description_is_of_this_rig(tmp_path, monkeypatch):
     monkeypatch.setattr(plant, "compiled", lambda *_: b"")
     file = tmp_path / "axis.fmu"
-    file.write_bytes(make_fmu(task_config(plant={"load": {"mass": 80.0}, "cylinder": {"stroke": 0.5}})))
+    file.write_bytes(make_fmus(task_config(plant={"load": {"mass": 80.0}, "cylinder": {"stroke": 0.5}}))[0])
     description = fmpy.read_model_description(str(file))
     variables = {variable.name: variable for variable in description.modelVariables}
     mass, place, model = (variables[name] for name in ("rig.load.mass", "initial_position", "rig.valve.model"))
@@ -184,7 +214,7 @@ def test_the_command_writes_it_once(tmp_path):
     result = hydro("export", "plant", "--rig", "symmetric_eha", "--output", folder)
     assert result.returncode == 0, result.stderr
     written = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
-    assert written == {"hydro_axis.fmu", "plant.c", "plant.h"}
+    assert written == {"hydro_axis.fmu", "hydro_axis_fmi3.fmu", "plant.c", "plant.h"}
     assert_one_clear_line(hydro("export", "plant", "--output", folder), "holds results already")
     unknown = hydro("export", "controler", "--output", tmp_path / "other")
     assert_one_clear_line(unknown, "export 'controler': unknown; known: plant, leakage_head")
