@@ -10,16 +10,13 @@ file of rows is the checkpoint: a later call continues it, with more rigs if ask
 controllers need a file of their own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from benchmarks import command_line
-from benchmarks.kept_rows import kept_rows
+from benchmarks import command_line, kept_rows
 from benchmarks.no_tuning import tuned_for
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
@@ -62,15 +59,18 @@ def proportional(task: TaskConfig) -> PIDGains:
     return PIDGains(proportional=float(gain.proportional), overlap_compensation=overlap, **quiet)
 
 
+def searched(kind: str, task: TaskConfig) -> Controller:
+    """A controller whose gains are searched for the rig."""
+    return make_controller(kind, task, searched_gains(kind, task).model_dump())
+
+
 def controllers_on(task: TaskConfig, weights: str, tuned: Path | None) -> dict[str, Callable[[], Controller]]:
     """What makes each controller on one rig, by name."""
     makers: dict[str, Callable[[], Controller]] = {
         UNTUNED: lambda: FlowLinearising(FlowLinearisingGains(), task),
         POLICY: lambda: PolicyController.load(weights).moved_to(task),
-        SEARCHED: lambda: make_controller(
-            "flow_linearising", task, searched_gains("flow_linearising", task).model_dump()
-        ),
-        PID_OF_RIG: lambda: make_controller("pid", task, searched_gains("pid", task).model_dump()),
+        SEARCHED: lambda: searched("flow_linearising", task),
+        PID_OF_RIG: lambda: searched("pid", task),
         FIGURES: lambda: make_controller("pid", task, gain_sets("pid", task)[0].model_dump()),
         PROPORTIONAL: lambda: PID(proportional(task), task),
     }
@@ -93,14 +93,8 @@ def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
     """One row per controller: its errors relative to those of untuned flow linearisation, rig by rig."""
     travel = rows.pivot(index="rig", columns="controller", values="travel")
     for name, own, ratios in beside_untuned(rows, "controller"):
-        yield [
-            name,
-            *ratios,
-            f"{(travel[name] / travel[UNTUNED]).median():.2f}",
-            f"{int(own['failures'].sum())}",
-            f"{int(own['limit_cycles'].sum())}",
-            f"{int(own['ringing'].sum())}",
-        ]
+        sums = [str(int(own[column].sum())) for column in ("failures", "limit_cycles", "ringing")]
+        yield [name, *ratios, f"{(travel[name] / travel[UNTUNED]).median():.2f}", *sums]
 
 
 def against(rows: pd.DataFrame) -> Iterator[list[str]]:
@@ -113,31 +107,19 @@ def against(rows: pd.DataFrame) -> Iterator[list[str]]:
 
 def main() -> None:
     """Judge the policy on the rigs, and print the summary."""
-    given = command_line(
-        __doc__,
-        weights=str(pretrained_folder() / "policy_any_axis"),
-        rigs=100,
-        split=("test", "validation", "training"),
-        first=0,
-        structure=False,
-        tuned=Path,
-        seconds=2.0,
-        output=Path("results/any_axis.csv"),
-        controller=[],
-        jobs=2,
-    )
+    weights, splits = str(pretrained_folder() / "policy_any_axis"), ("test", "validation", "training")
+    options = {"rigs": 100, "split": splits, "first": 0, "structure": False, "tuned": Path, "seconds": 2.0}
+    output = Path("results/any_axis.csv")
+    given = command_line(__doc__, weights=weights, **options, output=output, controller=[], jobs=2)
     structure = STRUCTURE if given.structure else {}
     law = {"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": [], "structure": structure}
     tasks = rig_tasks(task_config(law=law))
-    rows = kept_rows(
-        given.output,
-        "rig",
-        range(given.first, given.first + len(tasks)),
-        lambda number: rig_rows(
-            number, tasks[number - given.first], given.controller, given.weights, given.tuned, given.seconds
-        ),
-        given.jobs,
-    )
+
+    def rows_of(number: int) -> list[dict[str, Any]]:
+        task = tasks[number - given.first]
+        return rig_rows(number, task, given.controller, given.weights, given.tuned, given.seconds)
+
+    rows = kept_rows(given.output, "rig", range(given.first, given.first + len(tasks)), rows_of, given.jobs)
     more = ("geometric mean", "better on", "range")
     header = ("controller", "rigs", "error ÷ untuned, median (95 %)", *more)
     print(markdown((*header, "valve travel, median", "failures", "limit cycles", "ringing"), list(summary(rows))))

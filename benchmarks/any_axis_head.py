@@ -7,8 +7,6 @@ They read windows of 2 s under untuned flow linearisation. A leak of 1 % is 1 % 
 heads on the first rigs, minutes per rig. The file of rows is the checkpoint.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,7 @@ import numpy as np
 import pandas as pd
 from sklearn.metrics import roc_auc_score
 
-from benchmarks import command_line
-from benchmarks.kept_rows import kept_rows
+from benchmarks import command_line, kept_rows
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.detection.balance import INTERNAL, fit_balance
 from hydro_agents.detection.damaged_signals import repaired
@@ -98,27 +95,17 @@ def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
 
 def main() -> None:
     """Judge heads on drawn rigs, and print a table."""
-    given = command_line(
-        __doc__,
-        weights=[str(pretrained_folder() / "leakage_head_any_axis")],
-        rigs=30,
-        structure=False,
-        own=0,
-        split=("test", "validation"),
-        first=0,
-        output=Path("results/any_axis_head.csv"),
-        jobs=2,
-    )
+    weights, output = [str(pretrained_folder() / "leakage_head_any_axis")], Path("results/any_axis_head.csv")
+    options = {"rigs": 30, "structure": False, "own": 0, "split": ("test", "validation"), "first": 0}
+    given = command_line(__doc__, weights=weights, **options, output=output, jobs=2)
     law = {"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": []}
     tasks = rig_tasks(task_config(law=law | ({"structure": STRUCTURE} if given.structure else {})))
     plants = DETECTION if given.split == "test" else THRESHOLDS
-    rows = kept_rows(
-        given.output,
-        "rig",
-        range(len(tasks)),
-        lambda number: rig_rows(number, tasks[number], given.weights, number < given.own, plants),
-        given.jobs,
-    )
+
+    def rows_of(number: int) -> list[dict[str, Any]]:
+        return rig_rows(number, tasks[number], given.weights, number < given.own, plants)
+
+    rows = kept_rows(given.output, "rig", range(len(tasks)), rows_of, given.jobs)
     found = [f"{share:g} % found" for share in SHARES[1:]]
     header = ("detector", "rigs", *found, "1 %: worst tenth", "area, 1 % (least)", "false alarms", "outside")
     print(markdown((*header, "size of 3 %"), list(summary(rows))))

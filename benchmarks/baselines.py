@@ -9,8 +9,6 @@ Report from it: task, version, steps, algorithm and settings, seeds, mean return
 episodes, interquartile mean over seeds and episodes with its interval, error relative to flow linearisation, failures.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator, Mapping
@@ -106,21 +104,15 @@ def summary(found: Mapping[str, Mapping[str, Any]]) -> Iterator[list[str]]:
     for name, by_seed in found.items():
         returns = np.array([one["returns"] for one in by_seed.values()])
         errors = [np.mean(one["errors_mm"]) for one in by_seed.values()]
-        yield [
-            name,
-            f"{len(by_seed)}",
-            f"{returns.mean():.2f} ± {returns.std():.2f}",
-            interquartile(returns),
-            f"{np.mean(errors) / unit:.2f}",
-            f"{sum(one['failures'] for one in by_seed.values())}",
-        ]
+        failures = sum(one["failures"] for one in by_seed.values())
+        cells = [f"{returns.mean():.2f} ± {returns.std():.2f}", interquartile(returns), f"{np.mean(errors) / unit:.2f}"]
+        yield [name, str(len(by_seed)), *cells, str(failures)]
 
 
 def main() -> None:
     """Train what is missing, write the JSON, and print the table."""
-    given = command_line(
-        __doc__, algorithms=ALGORITHMS, steps=1_000_000, seeds=5, jobs=1, folder=Path("results/baselines")
-    )
+    folder = Path("results/baselines")
+    given = command_line(__doc__, algorithms=ALGORITHMS, steps=1_000_000, seeds=5, jobs=1, folder=folder)
     wanted = [(name, seed) for seed in range(given.seeds) for name in given.algorithms]
     files = [given.folder / f"{name}_{given.steps}_{seed}.json" for name, seed in wanted]
     answers = Parallel(given.jobs)(

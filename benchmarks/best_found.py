@@ -7,8 +7,6 @@ measure the true plant; it takes part in any comparison by its name: ``hydro eva
 Run: python -m benchmarks.best_found [--task NAME|FILE] [--plants 3] [--leak 0.01 0.3 1 4]; some minutes.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +19,8 @@ from hydro_agents.evaluation.metrics import ERROR, ERROR_SENSOR
 from hydro_agents.evaluation.study import default_study
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
+from hydro_env.plant import kernel
 from hydro_env.plant.equations import Coefficients
-from hydro_env.plant.kernel import (
-    IMPACT_SPEED,
-    MOST_STEPS_PER_PERIOD,
-    N_PEAKS,
-    PEAK_PRESSURE,
-    Accuracy,
-    Plants,
-    integrate,
-)
 from hydro_env.plant.states import State
 from hydro_env.task.configuration import task_config
 from hydro_env.task.fault_effects import FAULT_COLUMNS
@@ -53,13 +43,14 @@ EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)
 STEP_LENGTHS = (1.0, 0.4)  # fractions of each Gauss–Newton step that are tried
 CHANGE_SIZES = (2.0, 0.5, 0.1, 0.02)  # largest random changes of the plan, as a fraction of 10 V
 
-
 SCHEDULED = (*LEAK_COLUMNS, Coefficients._fields.index("external_force"), *FAULT_COLUMNS)
 """Coefficients that change during an episode."""
 
 POSITION = State._fields.index("position")
 PERTURBATION = 0.01
 """Change of a command, as a fraction of 10 V, for the sensitivities; its effect is far above the integrator's error."""
+NEWTON_STEPS = 6  # steps of the projected Newton method; each decides which commands stay at a limit
+BENDING = 5  # periods for which the reference beyond the preview keeps its acceleration; then it keeps its speed
 
 
 class BestFound:
@@ -67,9 +58,6 @@ class BestFound:
 
     The search knows the true state, the plant of the episode, its leak and its forces, present and future, and the
     reference within the task's preview. The position that the biased sensor reads follows the reference.
-
-    Args:
-        config: the task.
     """
 
     def __init__(self, config: TaskConfig) -> None:
@@ -127,12 +115,8 @@ class BestFound:
 class Prediction:
     """The positions of N axes over a horizon, from given states and commands.
 
-    Args:
-        config: the task.
-        coefficients: of each plant, (N, coefficients).
-        latency: from the start of a period until its command acts, (N,), s.
-        schedule: the coefficients :data:`SCHEDULED` in each control period of the episode and of the horizon beyond
-            its end, (periods, N, S).
+    ``coefficients``: of each plant, (N, coefficients); ``latency``: from the start of a period until its command acts,
+    (N,), s; ``schedule``: as of :func:`true_schedule`, also in the horizon beyond the end of the episode.
     """
 
     def __init__(self, config: TaskConfig, coefficients: Floats, latency: Floats, schedule: Floats) -> None:
@@ -140,17 +124,13 @@ class Prediction:
         self._coefficients = coefficients
         self._schedule = schedule
         self._durations = np.stack([latency, config.control_period - latency], axis=1)
-        self._accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS_PER_PERIOD)
+        self._accuracy = kernel.Accuracy(config.maximum_step, config.tolerance, kernel.MOST_STEPS_PER_PERIOD)
 
     def positions(self, state: Floats, before: Floats, commands: Floats, step: int, failing: bool = True) -> Floats:
-        """Positions (N, M, H), m, at the end of each period; infinite from a failure on, if failures count.
+        """Positions (N, M, H), m, at the end of each period from ``step`` on; infinite after failures, if they count.
 
-        Args:
-            state: of each plant now, (N, states).
-            before: the command that acts until the first of ``commands`` does, (N,), as a fraction of 10 V.
-            commands: M sequences for each axis, (N, M, H), as fractions of 10 V.
-            step: number of the period that begins.
-            failing: whether failures count.
+        ``state``: of each plant now, (N, states). ``before``: the command that acts until the first of ``commands``
+        does, (N,), as a fraction of 10 V; of these M sequences for each axis, (N, M, H).
         """
         axes, sequences, horizon = commands.shape
         rows = sequences * axes
@@ -159,17 +139,18 @@ class Prediction:
         durations = np.tile(self._durations, (sequences, 1))
         volts = FULL_VOLTAGE * commands.transpose(2, 1, 0).reshape(horizon, rows)
         voltage = np.tile(FULL_VOLTAGE * before, (2, sequences)).T.copy()
-        peaks, failed = np.zeros((rows, N_PEAKS)), np.zeros(rows, dtype=np.bool_)
+        peaks, failed = np.zeros((rows, kernel.N_PEAKS)), np.zeros(rows, dtype=np.bool_)
         positions = np.empty((horizon, rows))
         for period in range(horizon):
             voltage[:, 0] = voltage[:, 1]
             voltage[:, 1] = volts[period]
             now = self._schedule[min(step + period, len(self._schedule) - 1)]
             coefficients.reshape(sequences, axes, -1)[..., SCHEDULED] = now
-            integrate(Plants(states, coefficients, voltage, durations, peaks), self._accuracy, 0, rows)
+            plants = kernel.Plants(states, coefficients, voltage, durations, peaks)
+            kernel.integrate(plants, self._accuracy, 0, rows)
             position = states[:, POSITION]
-            failed |= peaks[:, IMPACT_SPEED] > self._failure.end_stop_speed
-            failed |= (peaks[:, PEAK_PRESSURE] > self._failure.pressure_rating) | ~np.isfinite(position)
+            failed |= peaks[:, kernel.IMPACT_SPEED] > self._failure.end_stop_speed
+            failed |= (peaks[:, kernel.PEAK_PRESSURE] > self._failure.pressure_rating) | ~np.isfinite(position)
             positions[period] = np.where(failed & failing, np.inf, position)
         return np.ascontiguousarray(positions.reshape(horizon, sequences, axes).transpose(2, 1, 0))
 
@@ -198,27 +179,14 @@ def true_schedule(config: TaskConfig, axes: Axes, periods: int) -> Floats:
     return np.array(schedule)
 
 
-NEWTON_STEPS = 6  # steps of the projected Newton method; each decides which commands stay at a limit
-
-
 def bounded_least_squares(
     jacobian: Floats, error: Floats, weight: Floats, commands: Floats, before: Floats, effort: float
 ) -> Floats:
     """Commands that minimise Σ weight · (error − jacobian · change)² + effort · Σ (change of command)² within ±1.
 
     The projected Newton method (Bertsekas 1982): commands at a limit whose gradient points outwards stay there; the
-    others take the Newton step.
-
-    Args:
-        jacobian: (N, H, H), change of sample i per change of command j.
-        error: the error with ``commands``, (N, H).
-        weight: of each sample, (N, H).
-        commands: to start from, (N, H).
-        before: the command before the first, (N,).
-        effort: cost of the squared change from one command to the next.
-
-    Returns:
-        Commands (N, H) within −1 to 1.
+    others take the Newton step. ``jacobian``: (N, H, H), change of sample i per change of command j; ``error``: with
+    ``commands``, from which it starts, (N, H), as is the weight of each sample; ``before``: the command before, (N,).
     """
     horizon = commands.shape[1]
     changes = np.eye(horizon) - np.eye(horizon, k=-1)  # of the commands from period to period
@@ -250,18 +218,11 @@ def random_changes(generator: np.random.Generator, count: int, horizon: int, siz
     return np.asarray(inside * size[:, None])
 
 
-BENDING = 5  # periods for which the reference beyond the preview keeps its acceleration; then it keeps its speed
-
-
 def continued(reference: Floats, step: int, known: int, horizon: int) -> Floats:
-    """The reference at the next ``horizon`` samples (N, H), as known at a step and extrapolated beyond the preview.
+    """The reference, (N, samples), at the next ``horizon`` samples (N, H), of which so many are ``known`` at a step.
 
-    Args:
-        reference: of the whole episode, (N, samples).
-        step: present sample.
-        known: samples after it that are known.
-        horizon: samples wanted. Beyond the preview the reference keeps its last speed, and for a while its last
-            acceleration too, if the last differences agree on them: a jump is no speed, and a kink no acceleration.
+    Beyond these it keeps its last speed, and for a while its last acceleration too, if the last differences agree on
+    them: a jump is no speed, and a kink no acceleration.
     """
     samples = reference.shape[1] - 1
     times = step + 1 + np.arange(horizon)

@@ -4,8 +4,6 @@ Numba keeps the machine code beside the package, or in the folder of the variabl
 processor and this version.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import tempfile

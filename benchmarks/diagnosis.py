@@ -7,8 +7,6 @@ whole way: file, checks, both detectors, verdict. The shipped PID moves the axis
 references are drawn from the default task. Recordings with errors of every kind: hostile_inputs.py.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections import Counter
 from collections.abc import Mapping
@@ -68,10 +66,10 @@ def diagnosed(axis: Axis, seeds: range, folder: Path) -> list[Verdict]:
 
 def row(axis: Axis, found: list[Verdict]) -> str:
     """One row of a table in Markdown; the name of a fault stands there without its size, to count equal answers."""
-    verdicts = Counter(
-        one.kind.value + (f" ({one.why.split(' (')[0]})" if one.why and one.kind is not Kind.UNKNOWN else "")
-        for one in found
-    )
+    verdicts: Counter[str] = Counter()
+    for one in found:
+        told = one.why and one.kind is not Kind.UNKNOWN
+        verdicts[one.kind + (f" ({one.why.split(' (')[0]})" if told else "")] += 1
     answers = ", ".join(f"{verdict} {count}" for verdict, count in verdicts.most_common())
     leaks = [one.leak for one in found if one.leak is not None]
     error = f"{np.median([abs(leak.value - axis.leak) for leak in leaks]):.2g}" if leaks else "–"
@@ -83,9 +81,7 @@ def main() -> None:
     """Print the table."""
     given = command_line(__doc__, share=1.0)
     skip = 0
-    print(
-        "| axis | recordings | verdicts | size error, median | interval holds |\n|---|---:|---|---:|---:|", flush=True
-    )
+    print("| axis | recordings | verdicts | size error, median | interval holds |\n|---|---:|---|---:|---:|")
     with tempfile.TemporaryDirectory() as folder:
         for axis in AXES:
             seeds = DIAGNOSIS.take(max(round(given.share * axis.recordings), 1), skip)

@@ -6,8 +6,6 @@
 date in ``origin.json``, which marks it as finished: a later call leaves it out. Ctrl-C stops; most commands resume.
 """
 
-from __future__ import annotations
-
 import json
 import shlex
 import subprocess

@@ -9,8 +9,6 @@ machines do. ``flexible_crane_told`` is the flexible crane whose nameplates name
 folder keeps the rows; a later call computes what is missing. real_machines.py reads recordings of such axes.
 """
 
-from __future__ import annotations
-
 import importlib
 import itertools
 import math
@@ -22,9 +20,8 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import expm
 
-from benchmarks import command_line
+from benchmarks import command_line, kept_rows
 from benchmarks.any_axis import FIGURES, POLICY, SEARCHED, controllers_on
-from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.own_loop import OwnLoop
 from hydro_agents.evaluation import drawn_rigs
 from hydro_agents.rigs.rig_file import answers_from, new_rig
@@ -94,19 +91,15 @@ class Axis:
         base, rod, force = self.slide(position) if m.kind == "slide" else self.boom(position)
         low = 0.5 * (m.supply + m.tank) * area_a / (area_a + area_b)
         start = [(force + low * area_b) / area_a, low]
-        self.oil = self.new(
-            "NodeGenericODE1", referenceCoordinates=[0, 0], initialCoordinates=start, numberOfODE1Coordinates=2
-        )
+        oil = {"referenceCoordinates": [0, 0], "initialCoordinates": start, "numberOfODE1Coordinates": 2}
+        self.oil = self.new("NodeGenericODE1", **oil)
         self.actuator = self.new(
             "HydraulicActuatorSimple",
             **{"markerNumbers": [base, rod], "nodeNumbers": [self.oil], "useChamberVolumeChange": True},
             **{"offsetLength": self.shortest, "strokeLength": m.stroke, "actuatorDamping": m.viscous},
             **{"chamberCrossSection0": area_a, "chamberCrossSection1": area_b, "oilBulkModulus": m.bulk_modulus},
-            **{
-                "hoseVolume0": m.dead_volume,
-                "hoseVolume1": m.dead_volume,
-                "nominalFlow": m.flow * LITRE_PER_MINUTE / math.sqrt(35e5),
-            },
+            **{"hoseVolume0": m.dead_volume, "hoseVolume1": m.dead_volume},
+            **{"nominalFlow": m.flow * LITRE_PER_MINUTE / math.sqrt(35e5)},
             **{"systemPressure": m.supply, "tankPressure": m.tank},
         )
         self.conductance = leak * LITRE_PER_MINUTE / 100e5
@@ -168,10 +161,8 @@ class Axis:
     def seal_friction(self, node: int, coordinate: int, arm: float, start: float, stiffness: float = 0.0) -> None:
         """Bristles that act on a coordinate as the seal does on the rod at an arm, and a spring beside them."""
         point, m = self.new("NodePointGround"), self.machine
-        ends = [
-            self.new("MarkerNodeCoordinate", nodeNumber=point, coordinate=0),
-            self.new("MarkerNodeCoordinate", nodeNumber=node, coordinate=coordinate),
-        ]
+        places = ((point, 0), (node, coordinate))
+        ends = [self.new("MarkerNodeCoordinate", nodeNumber=one, coordinate=axis) for one, axis in places]
         data = self.new("NodeGenericData", initialCoordinates=[0, start, 0], numberOfDataCoordinates=3)
         self.new(
             "CoordinateSpringDamperExt",

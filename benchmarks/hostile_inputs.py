@@ -6,8 +6,6 @@ Only what is true of the axis, or what no reading can tell apart from it, is a r
 sticks, and a position that reads 5 % too much looks like a larger valve. ``cases.csv`` in the folder holds every case.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -17,12 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from benchmarks import command_line
-from benchmarks.kept_rows import kept_rows
+from benchmarks import command_line, kept_rows
 from hydro_agents.learning.loading import shipped
 from hydro_env import HydroError, TaskConfig
-from hydro_rig.diagnosis.diagnose import diagnose
-from hydro_rig.diagnosis.pipeline import Diagnosis
+from hydro_rig.diagnosis.diagnose import Diagnosis, diagnose
 from hydro_rig.diagnosis.verdict import Kind, Leak, Limits
 from hydro_rig.estimation.estimator import WEAR
 from hydro_rig.recordings.findings import Weight

@@ -8,24 +8,20 @@ The axis runs the test, the recording is written as CSV and read by the code beh
 if it lies above zero by 2.33 of its own standard deviations: 1 % false alarms, if these are right. Figures: test seeds.
 """
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from benchmarks import command_line
-from benchmarks.kept_rows import kept_rows
+from benchmarks import command_line, kept_rows
 from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_agents.running.seeds import LEAK_TESTS
 from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig
 from hydro_env.files import write_text
 from hydro_env.task.configuration import task_config
-from hydro_rig.diagnosis.leak_test_plan import Plan, plan, simulated
-from hydro_rig.diagnosis.leak_test_reading import read_leak_test
+from hydro_rig.diagnosis.leak_test import Plan, plan, read_leak_test, simulated
 from hydro_rig.estimation.unknowns import LEAKAGE
 from hydro_rig.recordings.simulated import recording_csv
 
@@ -53,23 +49,16 @@ def reading(config: TaskConfig, test: Plan, seed: int, leak: float, folder: Path
 def summary(leak: float, rows: pd.DataFrame) -> list[str]:
     """One line of the table."""
     answered = rows[rows["value"].notna() & (rows["explained"] > 0.5)]
-    error = answered["value"] - leak
-    return [
-        f"{leak:g}",
-        str(len(rows)),
-        str(len(answered)),
-        str(int((answered["value"] > FIND * answered["deviation"]).sum())),
-        f"{error.abs().median():.5f}",
-        f"{error.abs().max():.5f}",
-        str(int((error.abs() <= HALF_WIDTH * answered["deviation"]).sum())),
-    ]
+    error, deviation = (answered["value"] - leak).abs(), answered["deviation"]
+    found, inside = answered["value"] > FIND * deviation, error <= HALF_WIDTH * deviation
+    counts = [str(number) for number in (len(rows), len(answered), int(found.sum()))]
+    return [f"{leak:g}", *counts, f"{error.median():.5f}", f"{error.max():.5f}", str(int(inside.sum()))]
 
 
 def main() -> None:
     """Run the tests, then print a table by leak."""
-    given = command_line(
-        __doc__, axes=16, leak=[0.0, 0.005, 0.01, 0.05], duration=60.0, folder=Path("results/leak_test")
-    )
+    leaks_asked, folder = [0.0, 0.005, 0.01, 0.05], Path("results/leak_test")
+    given = command_line(__doc__, axes=16, leak=leaks_asked, duration=60.0, folder=folder)
     config = task_config(None)
     test = plan(config, given.duration)
     print(test.line())
@@ -77,14 +66,12 @@ def main() -> None:
     for place, leak in enumerate(given.leak):
         leaks |= dict.fromkeys(LEAK_TESTS.take(given.axes, 1000 * place), leak)
     given.folder.mkdir(parents=True, exist_ok=True)
-    rows = kept_rows(
-        given.folder / "axes.csv",
-        "seed",
-        list(leaks),
-        lambda seed: [reading(config, test, seed, leaks[seed], given.folder)],
-    )
-    lines = [summary(float(leak), part) for leak, part in rows.groupby("leak")]
-    print(markdown(HEADER, lines))
+
+    def rows_of(seed: int) -> list[dict[str, float]]:
+        return [reading(config, test, seed, leaks[seed], given.folder)]
+
+    rows = kept_rows(given.folder / "axes.csv", "seed", list(leaks), rows_of)
+    print(markdown(HEADER, [summary(float(leak), part) for leak, part in rows.groupby("leak")]))
 
 
 if __name__ == "__main__":

@@ -6,8 +6,6 @@ DATA is the folder of ``python -m challenge.recordings``. The detectors read win
 from the nameplate; they were trained on other rigs. Finished predictions stay.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 
 from benchmarks import command_line
 from challenge.axes import read_task
@@ -23,7 +20,7 @@ from challenge.recordings import DURATION
 from hydro_agents.detection.detector import Detector, Windows
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import TaskConfig
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.recordings.columns import MEASURED, factor
@@ -56,7 +53,7 @@ class AxisOfData(NamedTuple):
 
     task: TaskConfig
     smallest_leak: float  # l/min at 100 bar
-    numbers: NDArray[np.int64]  # (N,), of the recordings
+    numbers: Indices  # (N,), of the recordings
     signals: Floats  # (N, 5, T), SI units
 
 
@@ -89,16 +86,10 @@ def read_axis(own: Own, axis: AxisOfData) -> pd.DataFrame:
         begins = np.full(len(signals), (end - length) * task.control_period)
         windows = with_likely_commands(signals[:, :, end - length : end])
         reading = detector.read(Windows(windows, begins, begins + length * task.control_period), task)
-        looks = {
-            "recording": axis.numbers,
-            "time": np.minimum(end - 1, last) * task.control_period,
-            "score": reading.score,  # evidence counts also where the detector gives no answer
-            "size": reading.flow_lpm,
-            "low": reading.low_lpm,
-            "high": reading.high_lpm,
-        }
-        if own.in_lpm:
-            looks["score"] = reading.score / axis.smallest_leak
+        looks = {"recording": axis.numbers, "time": np.minimum(end - 1, last) * task.control_period}
+        # Evidence counts also where the detector gives no answer.
+        looks["score"] = reading.score / axis.smallest_leak if own.in_lpm else reading.score
+        looks |= {"size": reading.flow_lpm, "low": reading.low_lpm, "high": reading.high_lpm}
         parts.append(pd.DataFrame(looks)[last > end - length // 2])
     return pd.concat(parts, ignore_index=True)
 

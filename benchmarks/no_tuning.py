@@ -9,8 +9,6 @@ tunes a set for each of some training rigs, and keeps the eight that serve twice
 on where it was.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -7,8 +7,6 @@ what it has. The first line of ``docs/tables/NAME.csv`` tells version, commit, d
 ``<!-- table: NAME -->`` and ``<!-- end -->``; what stands between follows from that file.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Mapping, Sequence
@@ -75,9 +73,8 @@ def by_condition(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
 def foreign(table: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
     """One row per axis and controller; errors also relative to those of the first controller there."""
     first = table.groupby("plant", sort=False)["error_um"].transform("first")
-    rows = table.assign(ratio=table["error_um"] / first).sort_values(
-        "plant", key=lambda plant: plant.map([*names].index)
-    )
+    rows = table.assign(ratio=table["error_um"] / first)
+    rows = rows.sort_values("plant", key=lambda plant: plant.map([*names].index))
     return rows.assign(plant=rows["plant"].map(names), controller=rows["controller"].map(names))
 
 
@@ -121,11 +118,6 @@ def origin_of(name: str) -> str:
         return text.readline().removeprefix("# ").strip()
 
 
-def tables() -> dict[str, str]:
-    """The tables of the pages, from the kept results."""
-    return {name: table_of(name) for name in SOURCES}
-
-
 def filled(page: str, made: Mapping[str, str]) -> str:
     """The page with the tables in place."""
     return MARKED.sub(lambda mark: f"{mark[1]}\n{made[mark[2]]}\n\n{mark[3]}", page)
@@ -142,7 +134,7 @@ def main(results: str = "results") -> None:
             kept = kept_of(source, pd.read_csv(file)).to_csv(index=False, float_format="%.6g")
             (TABLES / f"{name}.csv").write_text(first + kept, encoding="utf-8")
         print(f"{name}: {file if new else 'as before'}")
-    made = tables()
+    made = {name: table_of(name) for name in SOURCES}
     for page in PAGES:
         path = DOCS / page
         path.write_text(filled(path.read_text(encoding="utf-8"), made), encoding="utf-8")

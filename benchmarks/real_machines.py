@@ -9,8 +9,6 @@ steps of the voltages ``--fit`` and predicted at the others. The shake table
 PLANT_MOTION_LEAK_SEED, l/min at 100 bar.
 """
 
-from __future__ import annotations
-
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Sequence

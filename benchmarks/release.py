@@ -11,9 +11,6 @@ Nothing is uploaded; the last line tells where the files are.
 pyproject.toml allows. torch has the version of constraints.txt in both: other versions of it cost gigabytes.
 """
 
-from __future__ import annotations
-
-import argparse
 import os
 import re
 import shutil
@@ -22,6 +19,8 @@ import sys
 import tempfile
 import tomllib
 from pathlib import Path
+
+from benchmarks import command_line
 
 ROOT = Path(__file__).resolve().parents[1]
 VERSIONS = ("3.11", "3.12", "3.13", "3.14")
@@ -58,9 +57,8 @@ LEAK = 10  # exit code of ``hydro diagnose`` for the leak of the recording
 
 def run(*command: str | Path, cwd: Path = ROOT, code: int = 0, **variables: str) -> str:
     """Run a command and return what it prints; another exit code than expected ends the script with its output."""
-    done = subprocess.run(
-        command, cwd=cwd, env={**os.environ, **variables}, capture_output=True, text=True, check=False
-    )
+    changed = {**os.environ, **variables}
+    done = subprocess.run(command, cwd=cwd, env=changed, capture_output=True, text=True, check=False)
     if done.returncode != code:
         sys.exit(f"{' '.join(map(str, command))}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
     return done.stdout
@@ -142,12 +140,9 @@ def versions() -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--url", default=os.environ.get("HYDRO_ENV_URL", ""), help="address of the repository")
-    parser.add_argument("--versions", action="store_true", help="test other versions of the dependencies")
-    arguments = parser.parse_args()
+    given = command_line(__doc__, url=os.environ.get("HYDRO_ENV_URL", ""), versions=False)
     with tempfile.TemporaryDirectory() as temporary:
-        if arguments.versions:
+        if given.versions:
             versions()
         else:
-            release(Path(temporary), arguments.url)
+            release(Path(temporary), given.url)

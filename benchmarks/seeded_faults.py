@@ -5,8 +5,6 @@ Run: python benchmarks/seeded_faults.py [NUMBER ...]
 Exit code 1 if a fault is missed, or if its place is not found once.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

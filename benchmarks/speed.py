@@ -6,8 +6,6 @@ The measurements of a group take turns, round by round; a ratio is the median of
 quarter of an hour. Compare rows, not figures of another day.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import statistics
@@ -41,6 +39,12 @@ ROOT = Path(__file__).resolve().parents[1]
 ROUNDS, SECONDS = 5, 0.5  # SECONDS: of one measurement of a rate
 SIZES = (1, 64, 1024, 4096, 16_384)  # plants or axes side by side
 TRAINING_STEPS, CALLS = 500_000, 20_000  # CALLS: of a controller
+FIRST_STEP = f"""
+import gymnasium, hydro_env
+env = gymnasium.make("{ENVIRONMENT_ID}")
+env.reset(seed=0)
+env.step(env.action_space.sample())
+"""
 
 
 class Row(NamedTuple):
@@ -159,23 +163,15 @@ def environment_rows() -> list[Row]:
 def training_speed() -> float:
     """Steps per second of PPO as ``make study`` trains it."""
     study = default_study()
-    name = study.trained[0]
-    base: Any = study.make(study.controllers[name].corrects or "")
-    ppo = study.controllers[name].settings
+    trained = study.controllers[study.trained[0]]
+    base: Any = study.make(trained.corrects or "")
+    ppo = trained.settings
     assert isinstance(ppo, PPOSettings)
     model = make_model(make_env(study.task, ppo, make_features(study.task, ppo, base), 0), ppo, 0)
     model.learn(ppo.axes * ppo.steps_per_rollout)  # warm
     began = time.perf_counter()
     model.learn(TRAINING_STEPS)
     return float(model.num_timesteps / (time.perf_counter() - began))
-
-
-FIRST_STEP = f"""
-import gymnasium, hydro_env
-env = gymnasium.make("{ENVIRONMENT_ID}")
-env.reset(seed=0)
-env.step(env.action_space.sample())
-"""
 
 
 def fresh_process(code: str, cached: bool = True) -> float:

@@ -7,8 +7,6 @@ The options name checkouts with a built compiler (github.com/beremiz/matiec, git
 default: those of iec2c and strucpp on the PATH; one that is not found is left out. All programs do the same.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import re

@@ -6,8 +6,6 @@ It is no controller of a rig, which cannot measure its leak; it takes part in an
         --agent PID=configs/agents/pid_press.yaml
 """
 
-from __future__ import annotations
-
 from hydro_agents.controllers.base import Observation
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains, FlowLinearisingState
 from hydro_agents.controllers.flow_model import Flow

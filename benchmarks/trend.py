@@ -10,15 +10,12 @@ and verdict are those of the command; the thermometer errs by 1 K, the oil's vis
 is not written. Finished axes stay in the folder; after an interruption the same command goes on.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from benchmarks import command_line
-from benchmarks.kept_rows import kept_rows
+from benchmarks import command_line, kept_rows
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.learning.loading import shipped
@@ -29,9 +26,9 @@ from hydro_env import TaskConfig
 from hydro_rig.diagnosis.oil import GRADES, Oil
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.watching import fleet
-from hydro_rig.watching.reading import row_of
 from hydro_rig.watching.table import stamp
 from hydro_rig.watching.trend import DAY, State, trend_of
+from hydro_rig.watching.watch import row_of
 
 LENGTH, LOST = 30.0, 0.05  # s of a day that are recorded; share of lost rows
 FAMILIES = ("point_to_point", "multi_sine", "staircase", "ramp", "start_stop", "sine", "step")
@@ -113,18 +110,10 @@ def judge(controller: Controller, seed: int, days: int, grows: bool, windows: in
             at_half = float(holds[-1]) if len(holds) == 1 else at_half
     value, low, high = (table[name].to_numpy() for name in ("size_40", "low_40", "high_40"))
     answered, inside = np.isfinite(value), (low <= axis.leak) & (axis.leak <= high)
-    return {
-        "seed": seed,
-        "grows": grows,
-        "days": len(holds),
-        "held": int(np.sum(holds)),
-        "at_half": at_half,
-        "not_before": float(np.mean(early)) if early else np.nan,
-        "raised": raised,
-        "read": float(answered.mean()),
-        "inside": float(inside[answered].mean()),
-        "scatter": float(np.nanstd(np.log10(np.clip(value, 1e-4, None) / axis.leak))),
-    }
+    row = {"seed": seed, "grows": grows, "days": len(holds), "held": int(np.sum(holds)), "at_half": at_half}
+    row |= {"not_before": float(np.mean(early)) if early else np.nan, "raised": raised}
+    row |= {"read": float(answered.mean()), "inside": float(inside[answered].mean())}
+    return row | {"scatter": float(np.nanstd(np.log10(np.clip(value, 1e-4, None) / axis.leak)))}
 
 
 def main() -> None:
@@ -132,13 +121,11 @@ def main() -> None:
     given = command_line(__doc__, "folder", axes=20, days=60, windows=1, jobs=1, validation=False)
     controller, seeds = shipped("pid", TaskConfig()), TREND_CALIBRATION if given.validation else TRENDS
     grows = {seed: skip == SEEN for skip in (SEEN, 1000 + SEEN) for seed in seeds.take(given.axes, skip)}
-    table = kept_rows(
-        given.folder / "axes.csv",
-        "seed",
-        list(grows),
-        lambda seed: [judge(controller, seed, given.days, grows[seed], given.windows)],
-        given.jobs,
-    )
+
+    def rows_of(seed: int) -> list[dict[str, Any]]:
+        return [judge(controller, seed, given.days, grows[seed], given.windows)]
+
+    table = kept_rows(given.folder / "axes.csv", "seed", list(grows), rows_of, given.jobs)
     growing, healthy = table[table["grows"]], table[~table["grows"]]
     held, days = int(growing["held"].sum()), int(growing["days"].sum())
     half = share_interval(int(growing["at_half"].sum()), int(growing["at_half"].notna().sum()))

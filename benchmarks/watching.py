@@ -7,15 +7,13 @@ The rows of the recording come as lines of as many axes, again and again with la
 each quarter of the time it prints the axes that one core follows, and the memory per axis.
 """
 
-from __future__ import annotations
-
-import argparse
 import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from time import process_time
 
+from benchmarks import command_line
 from hydro_env import TaskConfig
 from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.watching.fleet import Axis, Fleet
@@ -49,27 +47,19 @@ def lines_of(recording: Path, axes: int, begin: float, end: float) -> Iterator[s
 
 def main() -> None:
     """Watch, and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("recording", type=Path)
-    parser.add_argument("--axes", type=int, default=40)
-    parser.add_argument("--minutes", type=float, default=2.0)
-    arguments = parser.parse_args()
+    given = command_line(__doc__, "recording", axes=40, minutes=2.0)
     with tempfile.TemporaryDirectory() as folder:
         fleet = FleetWatch(Fleet(Axis(TaskConfig(), None, Oil.of("46"), LIMIT)), Path(folder) / "watch.csv")
-        list(fleet.looks(lines_of(arguments.recording, min(arguments.axes, 2), 0.0, 30.0)))  # compiles
-        before, part = memory(), 60.0 * arguments.minutes / PARTS
+        list(fleet.looks(lines_of(given.recording, min(given.axes, 2), 0.0, 30.0)))  # compiles
+        before, part = memory(), 60.0 * given.minutes / PARTS
         for number in range(PARTS):
-            begin, states = process_time(), set()
-            lines = lines_of(arguments.recording, arguments.axes, 30.0 + number * part, 30.0 + (number + 1) * part)
-            for look in fleet.looks(lines):
-                states.add(str(look.condition))
-            spent = process_time() - begin
-            print(
-                f"{(number + 1) * part:.0f} s of {arguments.axes} axes: one core follows "
-                f"{arguments.axes * part / spent:.0f} axes; {(memory() - before) / arguments.axes:.2f} MB per axis; "
-                f"{', '.join(sorted(states))}",
-                flush=True,
-            )
+            begin = process_time()
+            lines = lines_of(given.recording, given.axes, 30.0 + number * part, 30.0 + (number + 1) * part)
+            states = sorted({str(look.condition) for look in fleet.looks(lines)})
+            follows = given.axes * part / (process_time() - begin)
+            size = (memory() - before) / given.axes
+            done = f"{(number + 1) * part:.0f} s of {given.axes} axes: one core follows {follows:.0f} axes"
+            print(f"{done}; {size:.2f} MB per axis; {', '.join(states)}", flush=True)
 
 
 if __name__ == "__main__":

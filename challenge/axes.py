@@ -4,8 +4,6 @@ The law of drawn rigs (:mod:`hydro_env.task.law`) draws them. Axes ``0`` to :dat
 those from :data:`FIRST_NEW` on in the test split alone.
 """
 
-from __future__ import annotations
-
 import json
 from functools import cache
 
@@ -25,15 +23,10 @@ LAW = RigLaw(periods={5.0: 0.6, 10.0: 0.4}, preview_paces=())
 FIRST_SEED = FIRST_SEEDS["test"] + 20_000  # no training, choice or test of this project draws rigs from here
 
 
-def seed_of(axis: int) -> int:
-    """The seed of an axis by its number."""
-    return FIRST_SEED + axis
-
-
 @cache
-def task_of(seed: int) -> TaskConfig:
-    """The task on the rig that the law draws from a seed; what counts as a leak grows with the flow of the axis."""
-    task = drawn_task(TaskConfig(), LAW, seed)
+def task_of(axis: int) -> TaskConfig:
+    """The task on the rig that the law draws for an axis; what counts as a leak grows with the flow of the axis."""
+    task = drawn_task(TaskConfig(), LAW, FIRST_SEED + axis)
     scale = leak_scale(task)
     sizes = {}
     for name in ("healthy_range", "faulty_range", "class_bounds"):
@@ -45,7 +38,7 @@ def axes_table() -> pd.DataFrame:
     """A row per axis: the figures of its nameplate in SI units (README.md), and its task as JSON."""
     rows = []
     for axis in (*range(KNOWN), *NEW_AXES):
-        task = task_of(seed_of(axis))
+        task = task_of(axis)
         plant, coefficients = task.plant, plant_coefficients(task.plant)
         area = float(coefficients.area_a)
         row = {

@@ -5,8 +5,6 @@
 Each block of 300 recordings follows from its split and its number: any size can be made, continued, and made again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +15,7 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from benchmarks import command_line
-from challenge.axes import FIRST_NEW, KNOWN, NEW_AXES, axes_table, seed_of, task_of
+from challenge.axes import FIRST_NEW, KNOWN, NEW_AXES, axes_table, task_of
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.pid import PID
 from hydro_agents.detection.dataset import EXTERNAL_LEAK
@@ -33,7 +31,7 @@ from hydro_env.axes import Axes
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import SIGNED_KINDS, fault_limits, faults_of
 from hydro_env.task.sensors import SENSORS
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices
 from hydro_rig.recordings.columns import MEASURED, factor
 from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
@@ -67,21 +65,16 @@ class Tier(NamedTuple):
     unseen: tuple[str, ...] = ()  # names in ACTING that only the test split has
 
 
+MIXED = (0.3, 0.3, 1.0 - 0.3 - 0.3)
 TIERS = {  # 1 a well-kept machine, 2 an ordinary one, 3 a difficult one
     1: Tier((0.4, 0.0, 0.6), ("PID", "flow-linearising"), ("ordinary",)),
     2: Tier(
-        (0.3, 0.3, 1.0 - 0.3 - 0.3),
-        ("PID", "flow-linearising", "by hand", "open loop"),
-        ("ordinary", "slow", "standing still", "changing loads"),
-        (0.7, 1.0, 1.6),
+        *(MIXED, ("PID", "flow-linearising", "by hand", "open loop")),
+        *(("ordinary", "slow", "standing still", "changing loads"), (0.7, 1.0, 1.6)),
     ),
     3: Tier(
-        (0.3, 0.3, 1.0 - 0.3 - 0.3),
-        ("PID", "flow-linearising", "by hand", "chattering"),
-        ("ordinary", "standing still"),
-        (1.0, 1.6),
-        True,
-        ("sliding mode", "three-step switch"),
+        *(MIXED, ("PID", "flow-linearising", "by hand", "chattering"), ("ordinary", "standing still")),
+        *((1.0, 1.6), True, ("sliding mode", "three-step switch")),
     ),
 }
 
@@ -100,9 +93,9 @@ class Crew(NamedTuple):
 class Members(NamedTuple):
     """What the N recordings of a crew have each."""
 
-    numbers: NDArray[np.int64]
-    seeds: NDArray[np.int64]
-    states: NDArray[np.int64]
+    numbers: Indices
+    seeds: Indices
+    states: Indices
     harsh: NDArray[np.str_]
 
 
@@ -145,13 +138,11 @@ def simulated_block(split: str, block: int, count: int) -> tuple[pd.DataFrame, p
             chosen = np.flatnonzero((tier == level) & (turn_of == turn))
             motion, noise = generator.choice(settings.motions), generator.choice(settings.noise)
             crew = Crew(next(next_axis), level, str(hands[turn]), str(motion), str(schedules[turn]), float(noise))
-            kinds = [""]
-            if settings.harsh:
-                kinds = MOVING if turn % 2 else DAMAGED
+            kinds = (MOVING if turn % 2 else DAMAGED) if settings.harsh else [""]
             states = generator.choice(3, len(chosen), p=settings.states)
             members = Members(numbers[chosen], seeds[chosen], states, generator.choice(kinds, len(chosen)))
             if len(chosen):
-                parts += simulated_crew(task_of(seed_of(crew.axis)), crew, members, generator)
+                parts += simulated_crew(task_of(crew.axis), crew, members, generator)
     parts.sort(key=lambda part: int(part[1]["recording"]))
     return pd.concat([rows for rows, _ in parts], ignore_index=True), pd.DataFrame([label for _, label in parts])
 
@@ -215,7 +206,7 @@ def simulated_crew(
 
 
 def drawn_faults(
-    config: TaskConfig, generator: np.random.Generator, states: NDArray[np.int64]
+    config: TaskConfig, generator: np.random.Generator, states: Indices
 ) -> tuple[dict[str, Floats], list[str]]:
     """Other faults of N axes: magnitudes (N,) by name, and the name of each axis's fault."""
     sizes: dict[str, Floats] = {}

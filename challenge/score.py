@@ -3,20 +3,17 @@
 python -m challenge.score DATA PREDICTIONS... [--split test] [--output scores.csv]
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from benchmarks import command_line
 from challenge.recordings import TIERS, labels_folder
 from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.running.statistics import interval, plant_weights, share_interval
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices, Mask
 
 BUDGETS = (1.0, 2.0, 5.0, 10.0, 20.0)  # false alarms per hour of the ranked figure
 SHOWN_BUDGET = 2.0  # false alarms per hour at which misses and delay are shown
@@ -26,15 +23,15 @@ RESAMPLES = 200
 class Outcomes(NamedTuple):
     """What a detector made of N recordings; each field (N,)."""
 
-    tier: NDArray[np.int64]
-    leak: NDArray[np.bool_]
+    tier: Indices
+    leak: Mask
     free: Floats  # h, without a leak
     before: Floats  # highest score without a leak; −inf: no look
     after: Floats  # highest score from the onset on; −inf: no look or no leak
 
-    def part(self, chosen: NDArray[Any]) -> Outcomes:
+    def part(self, chosen: Any) -> Self:
         """Those of some recordings."""
-        return Outcomes(*(field[chosen] for field in self))
+        return type(self)(*(field[chosen] for field in self))
 
     def threshold(self, per_hour: float) -> float:
         """Lowest score that gives at most this many false alarms per hour; a recording gives at most one."""
@@ -43,7 +40,7 @@ class Outcomes(NamedTuple):
             return -np.inf
         return threshold_at_false_alarm_rate(looked, min(per_hour * float(self.free.sum()) / len(looked), 1.0))
 
-    def found(self, threshold: float) -> NDArray[np.bool_]:
+    def found(self, threshold: float) -> Mask:
         """Leaks whose first alarm comes after the onset, (N,)."""
         return self.leak & np.isfinite(self.after) & (self.after >= threshold) & ~(self.before >= threshold)
 
@@ -78,12 +75,9 @@ def outcomes_of(looks: pd.DataFrame, labels: pd.DataFrame) -> Outcomes:
 
 
 def score(predictions: pd.DataFrame, labels: pd.DataFrame) -> dict[str, float]:
-    """The figures of a table of predictions; a recording without a row has no answer.
+    """The figures of predictions beside the labels of one split; a recording without a row has no answer.
 
-    Args:
-        predictions: a row per look: ``recording``, ``time`` (s), ``score``, and perhaps ``size``, ``low`` and ``high``
-            (l/min at 100 bar).
-        labels: of one split, a row per recording.
+    A row per look: ``recording``, ``time`` (s), ``score``, perhaps ``size``, ``low`` and ``high`` (l/min at 100 bar).
     """
     looks = counted(predictions, labels)
     all_of_them = outcomes_of(looks, labels)

@@ -1,7 +1,5 @@
 """``python -m paper``: the figures of the paper, as pictures, tables and one page; one or a few minutes."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

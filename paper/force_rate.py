@@ -1,7 +1,5 @@
 """Section 4 of the paper: the four terms of dF/dt (24) along a move and along a stop, and leakage's share of them."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 
@@ -66,18 +64,11 @@ def force_rate_table(law: Law) -> pd.DataFrame:
         rates = np.array([derivative_array(state, c, 0.0) for state in run.states])
         row_a, row_b = STATE_NAMES.index("pressure_a"), STATE_NAMES.index("pressure_b")
         area_a, area_b = (getattr(Coefficients(*c), f"area_{chamber}") for chamber in "ab")
-        parts.append(
-            pd.DataFrame(
-                {
-                    "leak_lpm": leak,
-                    "time_s": run.time - count(HELD) * SAMPLE_TIME,
-                    **dict(zip(TERMS, terms, strict=True)),
-                    "sum_n_s": sum(terms),
-                    "from_chambers_n_s": area_a * rates[:, row_a] - area_b * rates[:, row_b],
-                    "pressure_difference_bar": (run.pressure_a - run.pressure_b) / 1e5,
-                }
-            )
-        )
+        columns = {"leak_lpm": leak, "time_s": run.time - count(HELD) * SAMPLE_TIME}
+        columns |= dict(zip(TERMS, terms, strict=True)) | {"sum_n_s": sum(terms)}
+        columns["from_chambers_n_s"] = area_a * rates[:, row_a] - area_b * rates[:, row_b]
+        columns["pressure_difference_bar"] = (run.pressure_a - run.pressure_b) / 1e5
+        parts.append(pd.DataFrame(columns))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -93,15 +84,8 @@ def shares(table: pd.DataFrame) -> pd.DataFrame:
     for leak, part in table.groupby("leak_lpm"):
         for window, (first, last) in WINDOWS.items():
             samples = part[(part["time_s"] >= first) & (part["time_s"] < last)]
-            difference = samples["pressure_difference_bar"]
-            rows.append(
-                {
-                    "leak_lpm": leak,
-                    "window": window,
-                    "leakage_share": share_of_leakage(samples),
-                    "mean_size_of_difference_bar": float(difference.abs().mean()),
-                }
-            )
+            row = {"leak_lpm": leak, "window": window, "leakage_share": share_of_leakage(samples)}
+            rows.append(row | {"mean_size_of_difference_bar": samples["pressure_difference_bar"].abs().mean()})
     return pd.DataFrame(rows)
 
 

@@ -1,7 +1,5 @@
 """The closed position loop: a sensible gain, the frequency response, and runs of the nonlinear plant."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from functools import cache
@@ -10,12 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.sampled_loop import (
-    CONTROL_PERIOD,
-    SampledLoop,
-    places_in_reach,
-    sampled_loop,
-)
+from hydro_agents.controllers.sampled_loop import CONTROL_PERIOD, SampledLoop, places_in_reach, sampled_loop
 from hydro_env import HydroError
 from hydro_env.types import Floats
 from paper.rig import LEAKS, PLACE, PLANT, TIGHT, with_leak

@@ -1,7 +1,5 @@
 """Fig. 12: start–stop moves at several leaks, in open loop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -9,7 +7,7 @@ from numpy.typing import NDArray
 from hydro_env import equilibrium, simulate
 from hydro_env.task.sensors import Sensors
 from paper.rig import LEAKS, PLANT, SAMPLE_TIME, START, VOLTAGE, count, simplified, with_leak
-from paper.signals import recorded
+from paper.settling import recorded
 
 MOVES = ((0.25, 1.0), (0.45, 0.0), (0.25, 1.0), (0.45, 0.0), (0.5, -1.0), (0.5, 0.0))
 """s and fraction of VOLTAGE: two moves out and one back, each with a stop after it."""
@@ -56,15 +54,7 @@ def displacement_summary(table: pd.DataFrame) -> pd.DataFrame:
         early = (time > FIRST_STOP + 0.04) & (time < FIRST_STOP + 0.09)
         creep = true[(time > FIRST_STOP + 0.03) & (time < FIRST_STOP + 0.44)]
         straight = np.polyval(np.polyfit(time[early], true[early], 2), time[early])
-        rows.append(
-            {
-                "friction": friction,
-                "leak_lpm": leak,
-                "move_mm": stopped - true[0],
-                "back_mm": float(stopped - creep.min()),
-                "forth_mm": float(true[late].mean() - creep.min()),
-                "swing_mm": float(np.ptp(true[early] - straight)),
-                "noise_mm": float(np.std((signal - true)[time < HELD])),
-            }
-        )
+        row = {"friction": friction, "leak_lpm": leak, "move_mm": stopped - true[0], "back_mm": stopped - creep.min()}
+        row |= {"forth_mm": true[late].mean() - creep.min(), "swing_mm": np.ptp(true[early] - straight)}
+        rows.append(row | {"noise_mm": np.std((signal - true)[time < HELD])})
     return pd.DataFrame(rows)

@@ -1,7 +1,5 @@
 """Drawings of the figures: each function gets a table and returns the panels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

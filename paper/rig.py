@@ -1,7 +1,5 @@
 """The paper's rig, its leaks, and its quick stop."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 

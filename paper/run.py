@@ -1,7 +1,5 @@
 """``python -m paper``: all figures as pictures and tables, and the page that compares them with the paper."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -49,12 +47,7 @@ FIGURES = {key: Entry(*ways, **TEXTS[key]) for key, ways in WAYS.items()}  # by 
 
 
 def reproduce_to_folder(folder: Path, overwrite: bool, command: str = "python -m paper") -> Path:
-    """Compute, draw and write everything; returns the page.
-
-    Args:
-        folder: for the results.
-        overwrite: whether to replace earlier results.
-        command: the command line, quoted on the page.
+    """Compute, draw and write everything; returns the page, which quotes the command line.
 
     Raises:
         ConfigurationError: the folder cannot be used (:func:`~hydro_agents.running.folders.output_folder`).
@@ -104,6 +97,6 @@ def verdict_table(figures: dict[str, verdicts.Shown]) -> pd.DataFrame:
     """The verdicts on all conclusions of the paper, in the order of the page."""
     rows = []
     for key, shown in figures.items():
-        for verdict in shown.verdicts:
-            rows.append((FIGURES[key].title.partition(":")[0], *verdict))
+        figure = FIGURES[key].title.partition(":")[0]
+        rows += [(figure, *verdict) for verdict in shown.verdicts]
     return pd.DataFrame(rows, columns=["figure", *verdicts.Verdict._fields])

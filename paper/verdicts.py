@@ -1,7 +1,5 @@
 """What each figure shows: a plain table, and verdicts on the paper's conclusions, each with the number it rests on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

@@ -32,11 +32,11 @@ from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import FIRST_BIAS, lagged, sensor_reading
 from hydro_env.units import FULL_VOLTAGE, LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
-from hydro_rig.export.c_files import WARNINGS, CCode, compiled, render
+from hydro_rig.export.c_files import WARNINGS, compiled, render
+from hydro_rig.export.contract import MeasuredSignal
 from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
 from hydro_rig.export.expressions import DOUBLE, INT, UINT64
 from hydro_rig.export.leakage_head import head_code
-from hydro_rig.export.measured import MeasuredSignal
 from hydro_rig.export.plant import plant_code
 from hydro_rig.export.structured_text import st_name
 from hydro_rig.export.translator import Translator
@@ -93,7 +93,7 @@ class Written:
     """A controller in C."""
 
     kind: str
-    code: CCode
+    code: dict[str, str]
     signals: list[MeasuredSignal]  # that it reads
     gains: dict[str, float]  # those that a slider changes: tuned values
     sliders: list[dict[str, Any]]
@@ -168,9 +168,9 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
         "gains": gains,
         "places": {f"{kind}.{name}": place for place, (kind, name, _) in enumerate(gains)},
     }
-    sources = {**plant.files, "axis.c": render("axis.c.j2", values, TEMPLATES), **head_code(head).files}
+    sources = {**plant, "axis.c": render("axis.c.j2", values, TEMPLATES), **head_code(head)}
     for one in controllers:
-        sources |= one.code.files
+        sources |= one.code
     return sources
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks import any_axis
+from benchmarks import any_axis, kept_rows
 from benchmarks.any_axis import POLICY, SEARCHED, against, measured, summary
-from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.evaluation.drawn_rigs import UNTUNED, cases_of
 from hydro_env import TaskConfig

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from challenge import recordings
-from challenge.axes import FIRST_NEW, read_task, seed_of, task_of
+from challenge.axes import FIRST_NEW, read_task, task_of
 from challenge.recordings import SHARES, labels_folder, write_challenge
 from challenge.score import BUDGETS, outcomes_of, score
 from hydro_agents.learning import stable_gain
@@ -88,7 +88,7 @@ def test_recordings_labels_and_axes_agree(folder):
         assert (labels["onset"].dropna() < labels["seconds"][labels["leak"]]).all()
         assert (labels["fault"][labels["leak"]] == "").all()
         for axis in labels["axis"]:
-            assert read_task(tasks[axis]) == task_of(seed_of(axis))
+            assert read_task(tasks[axis]) == task_of(axis)
 
 
 def test_sizes_and_their_intervals_count_at_the_last_look():

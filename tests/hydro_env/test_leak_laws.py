@@ -101,7 +101,7 @@ def test_model_of_the_estimator(law):
     leakage = {**leak_past_piston(FLOW, law), ROD_SEAL.parameter: ROD_SEAL.value(0.5)}
     whole = config.plant.replace(leakage=leakage).model_dump()
     known = Model(task_config(config, plant=whole), {}, commands)
-    read = unknown.readings(unknown.scaled(np.array([[FLOW, 0.5]])))
+    read = unknown.readings(unknown.prior.scaled(np.array([[FLOW, 0.5]])))
     np.testing.assert_allclose(read, known.readings(np.empty((1, 0))), rtol=1e-9)
 
 

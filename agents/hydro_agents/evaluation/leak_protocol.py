@@ -27,7 +27,7 @@ from hydro_env.units import Number
 HEALTHY = 0.0
 """Level of leaks that are drawn from the healthy range of the task."""
 
-LEAK_BOUND = "hydro_rig.estimation.information:leak_bound"
+LEAK_BOUND = "hydro_rig.estimation.known_windows:leak_bound"
 """The Cramér–Rao bound is of the package above this one: it comes by name."""
 
 Level = Annotated[Number, between(HEALTHY, LEAKAGE_LIMIT, " l/min")]

@@ -1,25 +1,15 @@
-"""``hydro diagnose``, ``watch`` and ``trend``: verdicts on a machine, once, while it runs, and over weeks."""
+"""``hydro diagnose``, ``leak-test``, ``watch``, ``trend``: verdicts on a machine, once, while it runs, over weeks."""
 
 from __future__ import annotations
 
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from hydro_agents.commands.options import (
-    Columns,
-    Json,
-    Output,
-    Overwrite,
-    OwnTask,
-    Recording,
-    Rig,
-    command_line,
-    say,
-)
+from hydro_agents.commands.options import Columns, Json, Output, Overwrite, OwnTask, Recording, Rig, command_line, say
 
 if TYPE_CHECKING:
     from hydro_rig.watching.fleet import Fleet
@@ -69,9 +59,8 @@ def diagnose(
     """
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
-    from hydro_rig.diagnosis.change import change_of
+    from hydro_rig.diagnosis.diagnose import change_of, in_json
     from hydro_rig.diagnosis.diagnose import diagnose as diagnose_recording
-    from hydro_rig.diagnosis.diagnose import in_json
     from hydro_rig.diagnosis.diagnosis_page import FILES, JOB, diagnose_to_folder
     from hydro_rig.diagnosis.oil import Oil
     from hydro_rig.diagnosis.verdict import EXIT_CODES
@@ -120,7 +109,7 @@ def watch(
     one false alarm in 100 hours. The table holds a reading per hour and each change of state; beside it lies the memory
     of the alarms, with which the next call goes on. `docs/watch.md` shows Telegraf and MQTT.
     """
-    from hydro_rig.watching.sources import broker, lines_of, standard_input
+    from hydro_rig.watching.rows import broker, lines_of, standard_input
     from hydro_rig.watching.stream import FleetWatch
 
     axes = _fleet(fleet, task=task, rig=rig, map=columns, oil=oil, limit=limit)
@@ -195,3 +184,61 @@ def _tell_rig(*given: object) -> None:
     """Says so if no option names a rig."""
     if given == (None, None, None):
         print("hydro: every axis is taken for the paper's rig; --rig or --fleet names others", file=sys.stderr)
+
+
+def leak_test(
+    recording: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[RECORDING]", help="Recording of the test, to be read. Without it the test is planned."
+        ),
+    ] = None,
+    task: OwnTask = None,
+    rig: Rig = None,
+    columns: Columns = None,
+    duration: Annotated[float, typer.Option(min=2.0, max=600.0, help="Of the plan, s.")] = 60.0,
+    speed: Annotated[
+        float | None, typer.Option(min=1.0, max=1e4, help="Largest speed of the plan in mm/s; default: 50.")
+    ] = None,
+    stop: Annotated[Literal["both", "extended", "retracted"], typer.Option(help="Stops to press against.")] = "both",
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder; default: results/leak_test_plan, or results/leak_test."),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Plan an active test of a minute that shows a leak past the piston; or, with RECORDING, read it.
+
+    The test presses the axis against its stops at several openings, closes the valve, and makes short moves; the
+    openings are those with which simulated axes stay within your limits. Written are a page (`plan.html`), the commands
+    (`commands.csv`) and a simulated recording. The reading gives litres per minute with an interval, and the wear of
+    the valve, as `leak_test.html` and JSON.
+    Exit codes of the reading: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell.
+    """
+    from hydro_agents.running.folders import output_folder, refuse_taken
+    from hydro_env.task.configuration import task_config
+    from hydro_rig.diagnosis import leak_test_page as pages
+    from hydro_rig.diagnosis.leak_test import plan, read_leak_test
+    from hydro_rig.diagnosis.verdict import EXIT_CODES
+    from hydro_rig.estimation.progress import shown
+    from hydro_rig.recordings.columns import read_map
+    from hydro_rig.recordings.findings import lines_of
+
+    config = task_config(task, rig=rig)
+    if recording is None:
+        folder = output or Path("results/leak_test_plan")
+        refuse_taken(folder, pages.JOB, pages.PLAN_FILES, overwrite)
+        planned = plan(config, duration, speed and 1e-3 * speed, stop)
+        with output_folder(folder, pages.JOB, pages.PLAN_FILES, overwrite=overwrite):
+            pages.write_plan(folder, planned, command_line())
+        say(*(folder / name for name in pages.PLAN_FILES), planned.line())
+        return
+    folder = output or Path("results/leak_test")
+    refuse_taken(folder, pages.JOB, pages.READING_FILES, overwrite)
+    mapped = read_map(columns) if columns is not None else None
+    with shown():
+        found, quantities = read_leak_test(recording, config, mapped)
+    with output_folder(folder, pages.JOB, pages.READING_FILES, overwrite=overwrite):
+        pages.write_reading(folder, found, quantities, command_line())
+    say(*lines_of(found.checked.findings), folder / pages.READING_FILES[0], found.verdict.line())
+    raise typer.Exit(EXIT_CODES[found.verdict.kind])

@@ -1,4 +1,4 @@
-"""``hydro export``: the plant, a controller or the leak detector for other tools."""
+"""``hydro export`` and ``rehearse``: the plant, a controller or the leak detector for other tools, and its trial."""
 
 from __future__ import annotations
 
@@ -18,6 +18,12 @@ from hydro_env.folders import page
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
     from hydro_env import TaskConfig
+FMU_FILES = "hydro_axis.fmu", "hydro_axis_fmi3.fmu"
+JOB = "export"
+HEAD = "leakage_head"
+TRAINED_FOR = ("plant", "control_period", "command_latency")  # of the task, what a head for one rig cannot change
+Exported = tuple[Mapping[str, bytes], Sequence[str]]  # contents of files by name, and lines about them
+Job = tuple[Sequence[str], Callable[[], Exported]]  # names of the files, and what makes them
 
 
 class Gains(StrEnum):
@@ -25,11 +31,6 @@ class Gains(StrEnum):
 
     SEARCHED = "searched"
     FIGURES = "figures"
-
-
-FMU_FILES = "hydro_axis.fmu", "hydro_axis_fmi3.fmu"
-JOB = "export"
-HEAD = "leakage_head"
 
 
 def export(
@@ -121,12 +122,6 @@ class _Request(NamedTuple):
     latency: str | None
 
 
-TRAINED_FOR = ("plant", "control_period", "command_latency")  # of the task, what a head for one rig cannot change
-
-Exported = tuple[Mapping[str, bytes], Sequence[str]]  # contents of files by name, and lines about them
-Job = tuple[Sequence[str], Callable[[], Exported]]  # names of the files, and what makes them
-
-
 def _plant(task: str | None, rig: Path | None) -> Job:
     from hydro_env.task.configuration import task_config
     from hydro_rig.export.plant import make_fmus, plant_code
@@ -134,7 +129,7 @@ def _plant(task: str | None, rig: Path | None) -> Job:
     config = task_config(task, rig=rig)
 
     def make() -> Exported:
-        sources = {name: text.encode() for name, text in plant_code(config.plant).files.items()}
+        sources = {name: text.encode() for name, text in plant_code(config.plant).items()}
         return {**sources, **dict(zip(FMU_FILES, make_fmus(config), strict=True))}, ()
 
     return (*FMU_FILES, "plant.h", "plant.c"), make
@@ -240,3 +235,28 @@ def _task_of_gains(gains: Path) -> TaskConfig:
     if not study.is_file():
         raise ConfigurationError(f"{gains}: gains belong to a rig, and the file does not tell which; give --rig FILE")
     return StudySettings.from_yaml(study).task
+
+
+def rehearse(
+    folder: Annotated[Path, typer.Argument(help="Folder that `hydro export CONTROLLER` wrote.")],
+    rig: Rig = None,
+    output: Output = Path("results/rehearse"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Let the exported C code move the simulated axis: healthy, worn, wrong, with broken cables and an emergency stop.
+
+    Without --rig the axis is that for which the folder was exported. Written are a page with curves and a table of what
+    an engineer signs: peak error, overshoot, swing at rest, time to hold, travel after a fault. It needs a C compiler.
+    Exit codes: 0 all scenes passed, 1 one of them did not.
+    """
+    from hydro_agents.report.kit import shown
+    from hydro_agents.running.folders import output_folder
+    from hydro_rig.export.rehearsal import FILES, JOB, write_rehearsal
+
+    with output_folder(output, JOB, FILES, overwrite=overwrite):
+        table = write_rehearsal(output, folder, rig, command_line())
+    for scene, row in table.iterrows():
+        figures = [f"{name.replace(', ', ' ')} {shown(value)}" for name, value in row.iloc[:5].dropna().items()]
+        say(f"{scene}: {row['end']}; {', '.join(figures)}")
+    say(*(output / name for name in FILES))
+    raise typer.Exit(int((table["end"] != "passed").any()))

@@ -1,46 +1,126 @@
-"""``hydro diagnose``: from a recording to the readings of the estimator and the verdict."""
+"""The one way from a recording to its verdict, for ``hydro diagnose``, ``trend`` and ``leak-test``.
 
-from __future__ import annotations
+The commands differ in the windows that they choose and in what reads them; all else is the same: what makes one of them
+refuse makes all refuse, and a measured flow serves all.
+"""
 
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from hydro_agents.detection.detector import Cause, Reading, Why, Windows
-from hydro_env import TaskConfig
-from hydro_rig.diagnosis.pipeline import Diagnosis, Read, diagnosed
-from hydro_rig.diagnosis.verdict import EXIT_CODES
+from hydro_agents.running.text import number
+from hydro_env import HydroError, TaskConfig
+from hydro_env.errors import reason
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
+from hydro_rig.diagnosis.oil import Oil, referred, temperature_of
+from hydro_rig.diagnosis.verdict import EXIT_CODES, Case, Leak, Limits, Verdict, by_volume, judge
+from hydro_rig.diagnosis.volume_balance import volume_leak
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.progress import tell
-from hydro_rig.estimation.result import join
+from hydro_rig.estimation.result import Estimate, join
+from hydro_rig.identification.data_sheet import contradictions, worst_signal
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import Finding, Weight, lines_of
 from hydro_rig.recordings.parts import liveliest
-from hydro_rig.recordings.recording import read_recording
-from hydro_rig.recordings.sampling import Sampled, cut
+from hydro_rig.recordings.quality import Checked, check_recording
+from hydro_rig.recordings.recording import Recording, read_recording
+from hydro_rig.recordings.sampling import Sampled, bridged, cut, on_grid
 
+OTHER_CLOCK = 2.0  # errors over the noise of the data sheet with which half of the windows show an unknown command
 FIRST_WINDOWS = 2  # liveliest windows, which show whether the model describes the rig at all
 MOST_WINDOWS = 60  # of a recording; more take longer and add little
 
 
-def diagnose(
-    path: Path,
-    config: TaskConfig,
-    columns: ColumnMap | None = None,
-    window: float = 2.0,
-    most: int = MOST_WINDOWS,
-) -> Diagnosis:
-    """Read a recording, check it, let the estimator read it, and judge.
+class Read(NamedTuple):
+    """What was read in the windows of a recording."""
 
-    Args:
-        path: the recording, CSV.
-        config: the task whose rig was recorded.
-        columns: the signal of each column; default: the names that ``hydro record`` writes.
-        window: s, of the windows that are read.
-        most: windows that are read; those of a longer recording are a sample (:func:`spread`).
+    reading: Reading = Reading.of(np.zeros(0))  # of each window
+    fitted: Estimate | None = None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """A recording with its verdict, and what this rests on."""
+
+    recording: Recording
+    task: TaskConfig  # that was assumed
+    checked: Checked  # short gaps of the command are filled; all findings
+    windows: Windows
+    reading: Reading  # of each window; empty: nothing was read
+    limits: Limits
+    verdict: Verdict
+
+
+def diagnosed(
+    recording: Recording,
+    config: TaskConfig,
+    choose: Callable[[Sampled], Windows],
+    read: Callable[[Windows, TaskConfig], Read],
+    window: float,
+    oil: Oil | None = None,
+) -> Diagnosis:
+    """Check a recording, choose windows, read them unless a finding is severe, and judge.
+
+    Windows are read with the task at their sample time; their length ``window``, s, stands in the reasons. With an oil
+    the leak is judged at 40 °C, otherwise as measured.
+    """
+    checked = check_recording(recording, config)
+    config = on_grid(config, checked.samples.period)
+    samples, filled = bridged(checked.samples)
+    checked = Checked(samples, [*checked.findings, *filled])
+    findings = checked.findings
+    balance = volume_leak(recording)
+    if balance is not None:
+        balance = balance.on(plant_coefficients(config.plant).area_a)
+        if oil is not None:
+            at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, temperature_of(recording))
+            balance = balance._replace(**at_40._asdict())
+        what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
+        findings.append(Finding("flow", what))
+    windows = choose(samples)
+    result, residual = Read(), ""
+    refused = bool(checked.severe)
+    if not refused and len(windows):
+        try:
+            result = read(windows, config)
+        except (ValueError, ArithmeticError, LookupError) as error:
+            what = f"cannot be read: {error if isinstance(error, HydroError) else reason(error)}"
+            findings.append(Finding("windows", " ".join(what.split()), Weight.SEVERE))
+    reading, fitted = result
+    if fitted is not None:
+        findings += contradictions(fitted, config)
+        residual = worst_signal(fitted, config)
+        errors = np.hypot(fitted.slow, fitted.white)
+        if samples.own_clock and (errors > OTHER_CLOCK).any(axis=1).mean() >= 0.5:
+            what = "acts between the rows, by another clock than that of the log; record at the control period"
+            findings.append(Finding("command", what, Weight.SEVERE))
+    if oil is not None:
+        sizes: Any = (reading.flow_lpm, reading.low_lpm, reading.high_lpm)
+        leak: Any = referred(Leak(*sizes), oil, temperature_of(windows))  # the oil warms up in a long recording
+        reading = reading._replace(flow_lpm=leak.value, low_lpm=leak.low, high_lpm=leak.high)
+    limits, blind = Limits.of(config), bool(np.isnan(recording.signals[[PRESSURE_A, PRESSURE_B]]).all())
+    verdict = judge(Case(findings, reading, limits, window, residual, blind))
+    # A balance has no commands: it may decide where the rows do not fit the control period, if nothing else is severe
+    # on a grid of their own.
+    if balance is not None and not (check_recording(recording, config, own_grid=True) if refused else checked).severe:
+        verdict = by_volume(verdict, balance, limits)
+    return Diagnosis(recording, config, checked, windows, reading, limits, verdict)
+
+
+def diagnose(
+    path: Path, config: TaskConfig, columns: ColumnMap | None = None, window: float = 2.0, most: int = MOST_WINDOWS
+) -> Diagnosis:
+    """Read a recording, check it, let the estimator read it, and judge; the task's rig was recorded.
+
+    Path and columns as of :func:`~hydro_rig.recordings.recording.read_recording`. ``window``: s; the ``most`` windows
+    of a longer recording are a sample (:func:`spread`).
 
     Raises:
         ConfigurationError: the recording cannot be read at all.
@@ -64,7 +144,7 @@ def diagnose(
         chosen = spread(windows, most)
         if len(chosen) < len(windows):
             what = f"{len(chosen)} of {len(windows)} are read, spread over the recording (--windows)"
-            left_out.append(Finding("windows", what, Weight.NOTE))
+            left_out.append(Finding("windows", what))
         tell(f"windows of {len(samples.time)} samples at {1.0 / samples.period:.4g} Hz", len(chosen), len(windows))
         return chosen
 
@@ -81,10 +161,7 @@ def spread(windows: Windows, most: int) -> Windows:
 
 
 def read_windows(windows: Windows, config: TaskConfig, threads: int | None = None) -> Read:
-    """Read all windows with the estimator; if the model explains none of the liveliest, the others are not tried.
-
-    ``threads`` is that of :class:`~hydro_rig.estimation.estimator.EstimatorDetector`.
-    """
+    """Read all windows with the estimator; if the model explains none of the liveliest, the others are not tried."""
     commanded = np.flatnonzero(windows.commanded)
     first = commanded[liveliest(windows.part(commanded), FIRST_WINDOWS)]
     others = np.setdiff1d(np.arange(len(windows)), first)
@@ -110,10 +187,11 @@ def read_windows(windows: Windows, config: TaskConfig, threads: int | None = Non
 def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:
     """The reading of each window, one row each; leaks in l/min at 100 bar."""
     windows, reading = diagnosis.windows, diagnosis.reading
-    times = pd.DataFrame({"begin_s": windows.begin, "end_s": windows.end})
-    sizes = pd.DataFrame({"leak": reading.flow_lpm, "low": reading.low_lpm, "high": reading.high_lpm}).round(5)
-    read = sizes.assign(counts=reading.answers, fault=reading.fault, remark=reading.remarks)
-    return pd.concat([times.round(6), read], axis=1)
+    table = pd.DataFrame({"begin_s": windows.begin, "end_s": windows.end}).round(6)
+    sizes = {"leak": reading.flow_lpm, "low": reading.low_lpm, "high": reading.high_lpm}
+    for name, values in sizes.items():
+        table[name] = values.round(5)
+    return table.assign(counts=reading.answers, fault=reading.fault, remark=reading.remarks)
 
 
 def in_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -135,3 +213,31 @@ def findings_table(findings: list[Finding]) -> str:
     table = pd.DataFrame(findings, columns=Finding._fields)
     text: str = table.to_csv(index=False, lineterminator="\n", float_format="%.6g")
     return text
+
+
+class Change(NamedTuple):
+    """What became of the leak."""
+
+    fall: Leak | None  # l/min at 100 bar and 40 °C, with its 90 % interval; None: a recording gives no leak
+    line: str
+
+
+def change_of(before: Diagnosis, after: Diagnosis, oil: Oil) -> Change:
+    """The leak of one recording minus that of a later one; their errors count as independent."""
+    sizes = []
+    for when, one in (("before", before), ("after", after)):
+        if one.verdict.leak is None:
+            return Change(None, f"cannot tell what has changed: {when}: {one.verdict.why}")
+        sizes.append(referred(one.verdict.leak, oil, temperature_of(one.recording)))
+    old, new = sizes
+    fall = float(old.value - new.value)
+    low = fall - float(np.hypot(old.value - old.low, new.high - new.value))
+    high = fall + float(np.hypot(old.high - old.value, new.value - new.low))
+    what = "cannot tell whether the leak has changed"
+    if low > 0.0:
+        what = "the leak has fallen"
+    elif high < 0.0:
+        what = "the leak has grown"
+    ends = ", ".join(number(size, digits=2) for size in (low, high))
+    line = f"{what}: before minus after {number(fall, digits=2)} [{ends}] l/min at 100 bar and 40 °C"
+    return Change(Leak(fall, low, high), line)

@@ -1,7 +1,5 @@
 """The page of a diagnosis, for the person who maintains the axis, and the files beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,8 +14,7 @@ from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised
 from hydro_env.files import write_text
 from hydro_env.types import Floats
-from hydro_rig.diagnosis.diagnose import findings_table, leak_table
-from hydro_rig.diagnosis.pipeline import Diagnosis
+from hydro_rig.diagnosis.diagnose import Diagnosis, findings_table, leak_table
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.identification.identification_page import findings_frame, rig_line
 from hydro_rig.recordings.columns import MEASURED
@@ -53,10 +50,7 @@ LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
 def diagnose_to_folder(
     folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str, change: str = ""
 ) -> list[str]:
-    """Write page, table and findings; returns the lines for the user, the verdict last.
-
-    ``change`` is a sentence about what has changed since an earlier recording.
-    """
+    """Write page, table and findings; returns the lines for the user, the verdict last; ``change``: a sentence."""
     with output_folder(folder, JOB, FILES, overwrite=overwrite):
         write_text(folder / TABLE_FILE, leak_table(diagnosis).to_csv(index=False, lineterminator="\n"))
         write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
@@ -84,10 +78,8 @@ def diagnosis_page(
     axes = time_panels(("leak, l/min at 100 bar", *PANELS), 9.5, height_ratios=[1.7, 1, 1, 1])
     draw_leak(axes[0], diagnosis)
     draw_signals(axes[1:], recording.time, recording.signals)
-    note = (
-        "Each point is one window with its 90 % interval; a hollow one does not count. Green: healthy. Orange: faults."
-    )
-    page.figure(axes, "Leak and measured signals", note)
+    note = "Each point is one window with its 90 % interval; a hollow one does not count."
+    page.figure(axes, "Leak and measured signals", f"{note} Green: healthy. Orange: faults.")
     page.heading("The recording")
     if diagnosis.checked.findings:
         page.table(findings_frame(diagnosis.checked.findings), "Findings", words=True)
@@ -117,11 +109,17 @@ def draw_signals(axes: Sequence[Axes], time: Floats, signals: Floats) -> None:
             signal(one, time, values, label=name.replace("_", " "), linewidth=1.0)
 
 
+def scale_of_leaks(axes: Axes) -> None:
+    """The scale of leaks, l/min at 100 bar: logarithmic, from LOWEST to HIGHEST."""
+    axes.set(yscale="log", ylim=(LOWEST, HIGHEST))
+    axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
+    axes.set_yticks([], minor=True)
+
+
 def draw_leak(axes: Axes, diagnosis: Diagnosis) -> None:
     """The leak of each window with its 90 % interval; a hollow marker does not count."""
     windows, limits = diagnosis.windows, diagnosis.limits
-    axes.set(yscale="log", ylim=(LOWEST, HIGHEST))
-    axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
+    scale_of_leaks(axes)
     axes.axhspan(LOWEST, limits.healthy, color=GREEN, alpha=0.10, linewidth=0)
     axes.axhspan(limits.fault, HIGHEST, color=ORANGE, alpha=0.07, linewidth=0)
     reading, middle = diagnosis.reading, 0.5 * (windows.begin + windows.end)

@@ -1,7 +1,5 @@
 """The pages of a leak test: of its plan, for the person who runs it, and of its reading; and the files beside them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -13,17 +11,14 @@ from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised
 from hydro_env.files import write_text
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.diagnosis.diagnose import in_json
+from hydro_rig.diagnosis.diagnose import Diagnosis, in_json
 from hydro_rig.diagnosis.diagnosis_page import PANELS, diagnosis_page, draw_signals
-from hydro_rig.diagnosis.leak_test_plan import SIMULATED_LEAK, Plan
-from hydro_rig.diagnosis.leak_test_reading import Quantities
-from hydro_rig.diagnosis.pipeline import Diagnosis
+from hydro_rig.diagnosis.leak_test import SIMULATED_LEAK, Plan, Quantities
 from hydro_rig.recordings.simulated import recording_csv
 
 JOB = "leak-test"
 PLAN_FILES = ("plan.html", "commands.csv", "simulated.csv")
 READING_FILES = ("leak_test.html", "leak_test.json")
-
 CAUTION = (
     "The limits hold on the simulated axes. Clear the whole stroke, keep the emergency stop at hand, and run the test "
     "first with half the openings: what stands in the way, and a wrong sign of the command, no simulation knows."

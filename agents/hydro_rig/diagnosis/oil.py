@@ -6,9 +6,7 @@ ASTM D341 (Walther): log10 log10(ν + 0.7) = A − B log10 T, with ν in mm²/s 
 grade, ISO 3448) and at 100 °C fix A and B. The density, which falls by 0.7 % per 10 K, is left out.
 """
 
-from __future__ import annotations
-
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,7 +40,7 @@ class Oil(NamedTuple):
     at_100: float
 
     @classmethod
-    def of(cls, text: str) -> Oil:
+    def of(cls, text: str) -> Self:
         """From an ISO VG grade (``46``), or from both values of a data sheet (``46/8.1``).
 
         Raises:

@@ -1,13 +1,11 @@
 """The verdict of ``hydro diagnose``: the rules that turn findings and readings into an answer."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -54,6 +52,9 @@ class Leak(NamedTuple):
         return "{} [{}, {}] l/min at 100 bar".format(*parts)
 
 
+NO_LEAK = Leak(np.nan, np.nan, np.nan)  # no reading
+
+
 class Limits(NamedTuple):
     """Leaks in l/min at 100 bar."""
 
@@ -61,7 +62,7 @@ class Limits(NamedTuple):
     fault: float  # smallest leak that counts as a fault
 
     @classmethod
-    def of(cls, config: TaskConfig) -> Limits:
+    def of(cls, config: TaskConfig) -> Self:
         """Those of the task; its defaults hold for the default rig, and grow with the flow of a rig."""
         given, usual = config.leakage, LeakageDraw()
         healthy, fault = given.class_bounds[0], given.faulty_range[0]
@@ -80,15 +81,15 @@ class Verdict(NamedTuple):
 
     def line(self) -> str:
         """The verdict in one line."""
-        line = f"{self.kind.value}: {self.why}"
+        line = f"{self.kind}: {self.why}"
         if self.leak is None or self.kind is Kind.UNKNOWN:
             return line
         size = self.leak.text()
         if self.kind is Kind.LEAK:
-            return "; ".join(filter(None, [f"{self.kind.value} of {size}", self.why]))
+            return "; ".join(filter(None, [f"{self.kind} of {size}", self.why]))
         seal = f"leak past the piston {size}"
         if self.kind is Kind.HEALTHY:
-            return ", ".join(filter(None, [f"{self.kind.value}: {seal}", self.why]))
+            return ", ".join(filter(None, [f"{self.kind}: {seal}", self.why]))
         return f"{line}; {seal}"
 
 
@@ -246,8 +247,7 @@ def judge(case: Case) -> Verdict:
 def by_volume(verdict: Verdict, balance: VolumeLeak, limits: Limits) -> Verdict:
     """The verdict with a measured flow: where the estimator cannot tell, the balance of volumes decides alone.
 
-    The caller makes sure that no severe finding speaks against the signals of the balance, and that it belongs to the
-    piston of the rig (:meth:`~hydro_rig.diagnosis.volume_balance.VolumeLeak.on`).
+    No severe finding speaks against the signals of the balance, and it belongs to the piston of the rig.
     """
     if verdict.kind is not Kind.UNKNOWN:
         return verdict
@@ -277,7 +277,7 @@ def combined(reading: Reading) -> tuple[Leak, str]:
     """
     leak, low, high = (values[reading.sized] for values in (reading.flow_lpm, reading.low_lpm, reading.high_lpm))
     if not len(leak):
-        return Leak(np.nan, np.nan, np.nan), ""
+        return NO_LEAK, ""
     change = ""
     third = len(leak) // 3
     if third >= 2:

@@ -7,10 +7,8 @@ the correlation φ = exp(−1 / memory) from sample to sample. A Kalman filter o
 variance: the least squares of :mod:`hydro_rig.estimation.solver` then weigh them rightly.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -41,7 +39,7 @@ class Errors(NamedTuple):
     memory: Floats  # its correlation time, samples
 
     @classmethod
-    def of_data_sheet(cls, windows: int, channels: int) -> Errors:
+    def of_data_sheet(cls, windows: int, channels: int) -> Self:
         """White noise as the data sheet says."""
         return cls(np.ones((windows, channels)), np.zeros((windows, channels)), np.ones((windows, channels)))
 
@@ -50,26 +48,24 @@ class Errors(NamedTuple):
         differ = (self.slow > SLOW) & (self.memory > SHORT)
         return np.asarray((differ.sum(axis=1) > 1) & (differ & (self.memory >= LASTING * samples)).any(axis=1))
 
-    def as_white(self, count: Floats, samples: int) -> Errors:
+    def as_white(self, count: Floats, samples: int) -> Self:
         """White noise with which no combination of ``count`` readings, (B, channels), is surer than with these errors.
 
         Coloured noise is as strong at each frequency as at the lowest; a lasting slow error has its norm everywhere.
         """
         keep = np.exp(-1.0 / self.memory)
         times = np.where(self.memory < LASTING * samples, (1.0 + keep) / (1.0 - keep), count)
-        return Errors(np.sqrt(self.white**2 + times * self.slow**2), np.zeros_like(times), self.memory)
+        return self._replace(white=np.sqrt(self.white**2 + times * self.slow**2), slow=np.zeros_like(times))
 
-    def part(self, chosen: Any) -> Errors:
+    def part(self, chosen: Any) -> Self:
         """Errors of some of the windows."""
-        return Errors(*(values[chosen] for values in self))
+        return type(self)(*(values[chosen] for values in self))
 
 
 def errors_of(residual: Floats, known: Mask) -> tuple[Errors, Floats]:
     """The most likely errors of residuals (B, channels, T), and twice their negative log-likelihood, (B,).
 
-    Args:
-        residual: readings minus model, over the noise of the data sheet.
-        known: readings that exist, (B, channels, T).
+    Residuals are over the noise of the data sheet; only the ``known`` ones exist.
     """
     errors, likelihood = Errors.of_data_sheet(*residual.shape[:2]), np.zeros(len(residual))
     for place in zip(*np.nonzero(known.any(axis=2)), strict=True):

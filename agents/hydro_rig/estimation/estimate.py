@@ -1,16 +1,13 @@
 """Estimates the unknowns of recorded windows: values, uncertainty, and whether the model explains the readings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS, SPOOL
 from hydro_env.types import Floats
-from hydro_rig.estimation.first_guess import first_values
 from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.estimation.search import EstimationSettings, search
@@ -18,6 +15,7 @@ from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import Prior, priors_of
 
 SAMPLES_PER_BATCH = 25_600  # largest number of samples, over all windows, in one fit; more would only need more memory
+_FIRST_SAMPLES = 6  # number of samples for the straight line that gives each start value
 
 
 def estimate(
@@ -70,7 +68,7 @@ def estimate(
         if name not in known:
             raise ConfigurationError(f"first: '{name}' is not among the unknowns")
         guess[:, model.names.index(name)] = values
-    problem, scaled = Problem(model, usable_readings(windows, config, model)), model.scaled(guess)
+    problem, scaled = Problem(model, usable_readings(windows, config, model)), model.prior.scaled(guess)
     parts, together = [], max(SAMPLES_PER_BATCH // windows.shape[2], 1)
     for rows in np.split(np.arange(len(windows)), range(together, len(windows), together)):
         parts.append(search(problem.part(rows), scaled[rows], settings))
@@ -105,3 +103,44 @@ def usable_readings(signals: Floats, config: TaskConfig, model: Model) -> Floats
         readings[~((readings > low) & (readings < high))] = np.nan
     readings[:, [SENSORS.index("pressure_a"), SENSORS.index("pressure_b")], 0] = np.nan
     return readings / model.noise[:, None]
+
+
+def first_values(signals: Floats, config: TaskConfig, priors: Mapping[str, Prior]) -> Floats:
+    """First values (B, P) of the unknowns of B windows; the prior's mean where the signals give no information.
+
+    ``signals``: (B, channels + 1, T), NaN where a reading is missing.
+    """
+    if config.sensors.differential_pressure:
+        signals = two_pressures(signals, config)
+    value, slope = _starts(signals[:, : len(SENSORS), :_FIRST_SAMPLES], config.control_period)
+    seen = {f"start.{channel}": value[:, row] for row, channel in enumerate(SENSORS)}
+    seen["start.velocity"] = slope[:, POSITION]
+    seen["start.tip_position"], seen["start.tip_velocity"] = seen["start.position"], seen["start.velocity"]
+    spool = value[:, SPOOL]  # without a spool sensor, the spool equals its command
+    seen["start.spool_position"] = np.where(np.isnan(spool), signals[:, -1, 0], spool)
+    first = np.tile([prior.mean for prior in priors.values()], (len(signals), 1))
+    for column, name in zip(first.T, priors, strict=True):
+        if name in seen:
+            column[:] = np.where(np.isfinite(seen[name]), seen[name], column)
+    return first
+
+
+def two_pressures(signals: Floats, config: TaskConfig) -> Floats:
+    """The signals with both pressures in place of their difference: with equal edges their sum is the supply's."""
+    total, difference = config.plant.supply.pressure + config.plant.supply.tank_pressure, signals[:, PRESSURE_A]
+    pair = np.stack([0.5 * (total + difference), 0.5 * (total - difference)], axis=1)
+    return np.concatenate([signals[:, :PRESSURE_A], pair, signals[:, PRESSURE_B + 1 :]], axis=1)
+
+
+def _starts(near: Floats, period: float) -> tuple[Floats, Floats]:
+    """Value and slope of each channel at the first sample, (B, channels) each, from a line through a few samples."""
+    time = period * np.arange(near.shape[2])
+    weight = np.isfinite(near).astype(np.float64)
+    reading = np.nan_to_num(near)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = weight.sum(axis=2)
+        middle = (weight * time).sum(axis=2) / total
+        mean = (weight * reading).sum(axis=2) / total
+        away = time - middle[:, :, None]
+        slope = (weight * away * reading).sum(axis=2) / (weight * away**2).sum(axis=2)
+        return np.where(total >= 2, mean - slope * middle, mean), slope

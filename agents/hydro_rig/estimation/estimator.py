@@ -11,8 +11,6 @@ Where the residuals are not mere noise, the parts are tried that the file of a r
 of them explains widens the interval. Waves in the lines are in the model where the rig's file tells their lengths.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -68,6 +66,10 @@ class Wear(NamedTuple):
     factor: float  # displayed units per unit of the unknown
     unit: str
 
+    def sized(self, value: float) -> str:
+        """Its words with its size."""
+        return f"{self.what} ({number(self.factor * value)} {self.unit})"
+
 
 WEAR = {
     "valve.null_shift": Wear(Cause.VALVE, "null shift of the valve", 100.0, "% of full stroke"),
@@ -87,25 +89,17 @@ class EstimatorDetector:
     """The estimator: its score is the leak above the healthy bound, in standard deviations.
 
     It reads windows with all commands; any sensor may be absent. A window that the model does not explain, or with a
-    negative leak, has the cause ``UNKNOWN``; one with too little motion, ``UNDETERMINED``.
-
-    Args:
-        threads: worker threads; ``None`` takes one per core.
-        restarts: further searches for windows that the model does not explain.
+    negative leak, has the cause ``UNKNOWN``; one with too little motion, ``UNDETERMINED``. Arguments as of
+    :class:`~hydro_rig.estimation.search.EstimationSettings`.
     """
 
     threshold: float | None = None
 
-    def __init__(
-        self,
-        threads: int | None = 1,
-        restarts: int = EstimationSettings().restarts,
-    ) -> None:
+    def __init__(self, threads: int | None = 1, restarts: int = EstimationSettings.restarts) -> None:
         self.settings = EstimationSettings(restarts=restarts, threads=threads)
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """An empty text: the estimator reads every rig and every length."""
-        del task, samples
         return ""
 
     def read(self, windows: Windows, task: TaskConfig) -> Reading:
@@ -113,15 +107,11 @@ class EstimatorDetector:
         return self.read_and_fit(windows, task)[0]
 
     def read_and_fit(
-        self,
-        windows: Windows,
-        task: TaskConfig,
-        usual: tuple[Part, ...] = (),
+        self, windows: Windows, task: TaskConfig, usual: tuple[Part, ...] = ()
     ) -> tuple[Reading, Estimate | None]:
-        """Read windows, and return the estimates with wear as well, one for each window with commands.
+        """Read windows, and return the estimates with wear as well, one for each window with commands; ``None``: none.
 
-        The estimate is ``None`` if there is no such window. Arguments as of :meth:`read`; ``usual``: parts that this
-        axis had in other windows.
+        ``usual``: parts that this axis had in other windows.
         """
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
@@ -243,10 +233,11 @@ def wear_priors(task: TaskConfig) -> dict[str, Prior]:
     }
     if LAP not in task.randomisation:
         wide[LAP] = lap_of(task)
-    biases = {
-        channel: getattr(task.sensors, channel).bias for channel in ("pressure_a", "pressure_b", "spool_position")
-    }
-    return wide | {f"{channel}_bias": Prior(0.0, WIDE_BIAS * bias) for channel, bias in biases.items() if bias > 0.0}
+    for channel in ("pressure_a", "pressure_b", "spool_position"):
+        bias = getattr(task.sensors, channel).bias
+        if bias > 0.0:
+            wide[f"{channel}_bias"] = Prior(0.0, WIDE_BIAS * bias)
+    return wide
 
 
 def healthy_range(task: TaskConfig, name: str) -> tuple[float, float]:
@@ -285,7 +276,7 @@ def _in_words(found: Estimate, faulty: Mask) -> tuple[str, ...]:
     texts: list[list[str]] = [[] for _ in faulty]
     for (name, wear), rows in zip(WEAR.items(), faulty.T, strict=True):
         if rows.any():
-            size = number(wear.factor * float(np.median(found.value(name)[rows])))
+            text = wear.sized(float(np.median(found.value(name)[rows])))
             for row in np.flatnonzero(rows):
-                texts[row].append(f"{wear.what} ({size} {wear.unit})")
+                texts[row].append(text)
     return tuple(" and ".join(text) for text in texts)

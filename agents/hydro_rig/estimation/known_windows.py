@@ -1,8 +1,15 @@
-"""Windows of simulated axes: the signals that a rig measures, and the hidden true values."""
+"""Windows of simulated axes: the signals that a rig measures, the hidden true values, and the Cramér–Rao bound.
 
-from __future__ import annotations
+The bound is the smallest standard deviation with which any method can estimate an unknown from a window. The readings
+are r = h(θ) + noise, with the simulator as h, white noise of each sensor (its 16-bit steps included), and a normal
+prior of each unknown. The information about θ is then I = Jᵀ W J + P, with J = ∂h/∂θ at the truth, W the inverse
+variances of the noise and P those of the priors; no unbiased estimate of θ_i has a variance below (I⁻¹)_ii (Kay,
+*Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, chapter 3; with priors: Van Trees, *Detection,
+Estimation, and Modulation Theory* I, 1968, section 2.4). It assumes that the model has the true structure, and depends
+on what else is unknown.
+"""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.operations import ACTING
+from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.running.cases import Cases, TrueStateController, run_cases
+from hydro_agents.running.jobs import Columns, Job
 from hydro_agents.running.tasks import steady
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
@@ -20,6 +31,9 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS
 from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 from hydro_env.types import Floats, Indices
+from hydro_rig.estimation.estimate import usable_readings
+from hydro_rig.estimation.model import Model
+from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -27,7 +41,17 @@ from hydro_rig.estimation.unknowns import (
     LATENCY,
     LEAKAGE,
     STARTS,
+    Prior,
+    priors_of,
 )
+
+TOLERANCE = 1e-8  # tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %
+RESPONSE = 3.0
+"""Change of the readings by one step of a difference, in standard deviations of their noise, over all samples.
+
+With smaller steps the integrator's error dominates; with larger ones the readings do not change linearly. A tenth of
+this step changes the bound by 0.01 %, a step ten times as large by up to 1 %.
+"""
 
 
 @dataclass(frozen=True)
@@ -60,16 +84,9 @@ class KnownWindows:
 def known_windows(
     config: TaskConfig, controller: Controller, cases: Cases, begin: float, length: float
 ) -> KnownWindows:
-    """Run every case and extract one window.
+    """Run every case and extract one window, which begins ``begin`` s after the start of the episode; ``length`` in s.
 
     Leak, faults and external force stay constant during an episode, as the model assumes.
-
-    Args:
-        config: the task; its episodes get the length that the windows need.
-        controller: moves the axes.
-        cases: the episodes.
-        begin: start of the window, s after the start of the episode.
-        length: of the window, s.
 
     Raises:
         ConfigurationError: the window is shorter than two control periods, or no case reaches its end.
@@ -145,3 +162,59 @@ def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mappin
     levels = np.full(count, leakage_flow_lpm)
     every = {name: np.full(count, size) for name, size in (faults or {}).items()}
     return Cases(np.array(seeds[:count], dtype=np.int64), levels, faults=every or None)
+
+
+def bound(config: TaskConfig, windows: KnownWindows, priors: Mapping[str, Prior], threads: int | None = None) -> Floats:
+    """The smallest standard deviation of the leak, (B,), l/min at 100 bar, when the other unknowns are unknown too.
+
+    The commands of the windows are replayed on the true plants; ``threads``: ``None`` takes one per core.
+    """
+    model, scaled = true_model(config, windows, priors, threads)
+    problem, place = Problem(model, usable_readings(windows.signals, config, model)), model.names.index(LEAKAGE)
+    linear = problem.linearised(scaled, steps_at(model, scaled), central=True)
+    deviation: Floats = np.sqrt(linear.covariance()[:, place, place]) * model.prior.slope(scaled)[:, place]
+    return deviation
+
+
+def true_model(
+    config: TaskConfig, windows: KnownWindows, priors: Mapping[str, Prior], threads: int | None = None
+) -> tuple[Model, Floats]:
+    """The model of known windows with a strict integrator, and the true scaled unknowns (B, P)."""
+    strict = task_config(config, tolerance=min(config.tolerance, TOLERANCE))
+    model = Model(strict, priors, windows.signals[:, -1], windows.physical, windows.start, threads)
+    return model, model.prior.scaled(np.stack([windows.value(name) for name in priors], axis=1))
+
+
+def steps_at(model: Model, scaled: Floats) -> Floats:
+    """Steps of the differences, (B, S, S): by a coarse derivative each changes the readings by :data:`RESPONSE`."""
+    coarse = model.linearise(scaled)[1][:, model.simulated]
+    steps = np.clip(RESPONSE / np.sqrt(1.0 + (coarse**2).sum(axis=(2, 3))), 1e-7, 0.1)
+    return np.asarray(steps[:, :, None] * np.eye(len(model.simulated)))
+
+
+def leak_bound(protocol: LeakProtocol) -> Iterator[Cell]:
+    """The bound of some windows of the conditions that a protocol names."""
+    for name in protocol.bound_conditions:
+        condition, config = protocol.conditions[name], protocol.task_in(name)
+        begin = 0.0 if condition.begins == "at rest" else condition.duration
+        times = (begin, condition.duration - config.control_period)
+        for level in protocol.levels_in(name):
+            if level >= 0.0:
+                cases = protocol.cases_in(name, level, protocol.bound_windows)
+                arguments = (config, protocol.known_task(name), condition.acting, *times, cases)
+                job = Job(bound_of_windows, None, arguments, digest="bound")
+                yield Cell("bound", "bound", name, {"condition": name, "level": level}, (job,))
+
+
+def bound_of_windows(
+    _: None, config: TaskConfig, known: TaskConfig, acting: str, begin: float, duration: float, cases: Cases
+) -> Columns:
+    """Smallest standard deviation of the leak, l/min at 100 bar; all quantities that the task draws are unknown.
+
+    The runs are those of ``config``, the priors follow from ``known``; ``begin`` and ``duration`` of the windows in s.
+    """
+    controller = ACTING[acting].make(config, len(cases), int(cases.seeds[0]))
+    windows = known_windows(config, controller, cases, begin, duration)
+    found = np.full(len(cases), np.nan)
+    found[windows.case] = bound(config, windows, priors_of(known), threads=1)
+    return {"seed": cases.seeds.astype(np.float64), "sigma_lpm": found}

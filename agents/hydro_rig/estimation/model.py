@@ -1,10 +1,8 @@
 """The simulator as a model of recorded windows: from unknowns to sensor readings and their derivatives."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from copy import copy
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -15,7 +13,7 @@ from hydro_env.plant.states import ALL_STATES, N_ALL_STATES, N_STATES, Structure
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.types import Floats, Indices
-from hydro_rig.estimation.replay import RISE, Commands, Rows, replay, times, with_all_states
+from hydro_rig.estimation.replay import RISE, Commands, Rows, replay, with_all_states
 from hydro_rig.estimation.unknowns import (
     BIASES,
     COURSE,
@@ -66,8 +64,8 @@ def noise_of(config: TaskConfig) -> Floats:
 class Model:
     """The simulator as a model of B windows with P unknowns.
 
-    The methods take the unknowns in two scales: *values* in their units, and *scaled* values, standard deviations from
-    the mean of the prior (of the logarithm, for a logarithmic prior).
+    Unknowns have two scales, between which ``prior`` converts: *values* in their units, and *scaled* values, standard
+    deviations from the mean of the prior.
 
     Args:
         config: the task; its plant gives the known parameters, its sensors give noise and lag.
@@ -117,7 +115,7 @@ class Model:
         self.priors, self.names = dict(priors), tuple(priors)
         parts = [(prior.mean, prior.deviation, prior.logarithmic) for prior in priors.values()]
         columns: Any = np.array(parts, dtype=np.float64).reshape(-1, 3).T
-        self._together: Any = Prior(columns[0], columns[1], columns[2] != 0.0)  # of all unknowns, (P,)
+        self.prior: Any = Prior(columns[0], columns[1], columns[2] != 0.0)  # of all unknowns, (P,)
         # A bias adds to the readings: its derivative needs no simulation.
         self._added = {place: BIASES.index(name) for place, name in enumerate(self.names) if name in BIASES}
         self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
@@ -136,37 +134,23 @@ class Model:
         """T."""
         return int(self.commands.command.shape[1])
 
-    def part(self, windows: Indices) -> Model:
+    def part(self, windows: Indices) -> Self:
         """The same model of some of the windows."""
         other = copy(self)
         other.commands = self.commands.part(windows)
         other._physical, other._start = self._physical[windows], self._start[windows]
         return other
 
-    def with_priors(self, priors: Mapping[str, Prior]) -> Model:
+    def with_priors(self, priors: Mapping[str, Prior]) -> Self:
         """The model of the same windows with other unknowns, or other priors."""
         other = copy(self)
         other._set_priors(priors)
         return other
 
-    def values(self, scaled: Floats) -> Floats:
-        """Scaled values to values in their units, both (…, P)."""
-        return np.asarray(self._together.value(scaled))
-
-    def scaled(self, values: Floats) -> Floats:
-        """The inverse of :meth:`values`."""
-        return np.asarray(self._together.scaled(values))
-
-    def derivative(self, scaled: Floats) -> Floats:
-        """Change of each value per change of its scaled value, (…, P)."""
-        return np.asarray(self._together.slope(scaled))
-
     def readings(self, scaled: Floats, samples: int | None = None) -> Floats:
-        """Readings over their noise of R rows, (R, channels, T).
+        """Readings over their noise of R rows, (R, channels, T), or of their first samples.
 
-        Args:
-            scaled: the unknowns of each row, (R, P): first all rows of the first window, then as many of the next.
-            samples: number of first samples to replay; ``None``: all.
+        ``scaled``: the unknowns of each row, (R, P): first all rows of the first window, then as many of the next.
         """
         window = np.repeat(np.arange(self.count), len(scaled) // self.count)
         physical, start = self._physical[window], self._start[window]
@@ -177,9 +161,9 @@ class Model:
         course = np.zeros((len(window), commands.command.shape[1]))
         offset = np.zeros((len(window), 2))
         drift: Floats | float = 0.0
-        for name, value in zip(self.names, self.values(scaled).T, strict=True):
+        for name, value in zip(self.names, self.prior.value(scaled).T, strict=True):
             if name.startswith(COURSE):
-                time = times(commands.command.shape[1], self.config)
+                time = self.config.control_period * np.arange(commands.command.shape[1])
                 course += value[:, None] * np.clip(time / KNOTS - int(name.removeprefix(COURSE)) + 1, 0.0, 1.0)
             elif name == LEAKAGE:
                 for field, size in leak_past_piston(value, self.config.leakage.law).items():
@@ -215,22 +199,14 @@ class Model:
         return read
 
     def linearise(
-        self,
-        scaled: Floats,
-        directions: Floats | None = None,
-        samples: int | None = None,
-        central: bool = False,
+        self, scaled: Floats, directions: Floats | None = None, samples: int | None = None, central: bool = False
     ) -> tuple[Floats, Floats]:
         """Readings (B, channels, T) and their derivatives (B, P, channels, T), both over the noise of each channel.
 
-        The derivatives are finite differences, all plants in one batch, per standard deviation of each unknown's prior.
-
-        Args:
-            scaled: the unknowns of each window, (B, P).
-            directions: steps of the differences (:meth:`directions`); ``None``: a small step for each unknown.
-            samples: number of first samples to replay; ``None``: all.
-            central: steps to both sides instead of forward steps. A long forward step measures the slope beside the
-                point, so that a search with it ends beside the minimum of a curved valley.
+        The derivatives are finite differences at unknowns (B, P), all plants in one batch, per standard deviation of
+        each unknown's prior; their steps are ``directions`` (:meth:`directions`), or small ones. ``central`` steps go
+        to both sides: a long forward step measures the slope beside the point, so that a search with it ends beside the
+        minimum of a curved valley.
         """
         if directions is None:
             directions = np.tile(np.diag(self._first_steps), (len(scaled), 1, 1))
@@ -252,7 +228,7 @@ class Model:
         jacobian = np.zeros((count, unknowns, len(SENSORS), read.shape[-1]))
         jacobian[:, self.simulated] = (back @ moves.reshape(count, moved, -1)).reshape(moves.shape)
         for place, channel in self._added.items():
-            jacobian[:, place, channel] = self._together.deviation[place] / self.noise[channel]
+            jacobian[:, place, channel] = self.prior.deviation[place] / self.noise[channel]
         return read[:, 0], jacobian
 
     def directions(self, precision: Floats, length: float) -> Floats:

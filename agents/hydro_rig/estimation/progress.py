@@ -1,7 +1,5 @@
 """What a long fit has done so far, told to the display of the command that waits for it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar

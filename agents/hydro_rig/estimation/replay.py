@@ -1,12 +1,10 @@
 """Replays recorded commands on many plants at once and returns the readings of their sensors."""
 
-from __future__ import annotations
-
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -56,13 +54,15 @@ class Commands(NamedTuple):
     command: Floats  # (B, T), −1 to 1; column k acts until one latency after sample k
     boundary: Floats  # (B, 2, T), recorded supply and tank pressure, Pa; NaN: those of the plant
 
-    def beginning(self, samples: int) -> Commands:
+    def beginning(self, samples: int) -> Self:
         """The first samples."""
-        return Commands(self.command[:, :samples], np.ascontiguousarray(self.boundary[:, :, :samples]))
+        return self._replace(
+            command=self.command[:, :samples], boundary=np.ascontiguousarray(self.boundary[:, :, :samples])
+        )
 
-    def part(self, windows: Indices) -> Commands:
+    def part(self, windows: Indices) -> Self:
         """Some of the windows."""
-        return Commands(self.command[windows], self.boundary[windows])
+        return type(self)(*(values[windows] for values in self))
 
 
 class Rows(NamedTuple):
@@ -84,11 +84,6 @@ class Rows(NamedTuple):
     offset: Floats  # (R, 2), Pa, of recorded supply and tank pressure: readings minus pressure
 
 
-def times(samples: int, config: TaskConfig) -> Floats:
-    """Time of each sample, (samples,), s, from the first one on."""
-    return np.pad(np.cumsum(np.full(samples - 1, config.control_period)), (1, 0))
-
-
 def with_all_states(start: Floats) -> Floats:
     """States (R, N_ALL_STATES), NaN those of optional parts where ``start``, (R, N_STATES), lacks them."""
     return np.pad(start, ((0, 0), (0, N_ALL_STATES - start.shape[1])), constant_values=np.nan)
@@ -97,16 +92,9 @@ def with_all_states(start: Floats) -> Floats:
 def replay(
     config: TaskConfig, commands: Commands, rows: Rows, threads: int | None = None, structure: Structure = RIGID
 ) -> Floats:
-    """Readings of R plants, without noise and bias, (R, sensors, T), in the order of ``SENSORS``.
+    """Readings of R plants with a structure, without noise and bias, (R, sensors, T), in the order of ``SENSORS``.
 
-    They are NaN after a failure of the integration.
-
-    Args:
-        config: the task; it sets the integrator's accuracy.
-        commands: the recorded commands of B windows.
-        rows: the plants.
-        threads: worker threads; ``None`` takes one per core.
-        structure: which parts the plants have.
+    They are NaN after a failure of the integration. ``threads``: ``None`` takes one per core.
     """
     count, samples = len(rows.window), commands.command.shape[1]
     whole = rows._replace(start=with_all_states(np.array(rows.start, np.float64)))
@@ -183,11 +171,9 @@ def move_supply(own: Floats, coefficient: Floats, moved: float, supply: float, t
 def _replay(structure: Structure, at_the_valve: bool) -> Any:
     """The compiled replay of plants with a structure, whose pressure sensors sit at the cylinder or at the valve."""
     parts, integrate = parts_of(structure), integrators(structure)[1]
-    sensed_at = parts.lines.ports if at_the_valve else as_it_is
-    return _build(SOURCES + structure.number + KINDS * at_the_valve, parts, integrate, sensed_at)
+    sensed_at: Any = parts.lines.ports if at_the_valve else as_it_is
+    sources = SOURCES + structure.number + KINDS * at_the_valve
 
-
-def _build(sources: int, parts: Any, integrate: Any, sensed_at: Any) -> Any:
     def run(
         recorded: Any, plants: Any, duration: float, accuracy: Any, readings: Floats, first: int, last: int
     ) -> None:

@@ -1,9 +1,8 @@
 """The result of an estimate: values of the unknowns, their uncertainty, and the errors of the readings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,17 +62,14 @@ class Estimate:
         self.deviations[:] = np.hypot(self.deviations, scaled * scale)
         self.remaining[:] = np.hypot(self.remaining, scaled)
 
-    def part(self, windows: Indices) -> Estimate:
+    def part(self, windows: Indices) -> Self:
         """Some of the windows."""
-        return Estimate(names=self.names, **{name: getattr(self, name)[windows] for name in _PER_WINDOW})
+        return replace(self, **{name: getattr(self, name)[windows] for name in _PER_WINDOW})
 
-    def take(self, windows: Indices, by: Estimate, better: Mask) -> Indices:
-        """Replace windows by those of another estimate; returns the replaced ones.
+    def take(self, windows: Indices, by: Self, better: Mask) -> Indices:
+        """Replace windows, (C,), by those of another estimate that are ``better``, (C,); returns the replaced ones.
 
-        Args:
-            windows: of this estimate, (C,).
-            by: the C windows of the other estimate; further unknowns behind those of this one are left unknown.
-            better: which of them to take, (C,).
+        Further unknowns of the other estimate, behind those of this one, are left out.
         """
         for name in _PER_WINDOW:
             own, other = getattr(self, name), getattr(by, name)[better]

@@ -1,7 +1,5 @@
 """The search for the most probable values of the unknowns, and for the errors of the readings where these differ."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -113,7 +111,7 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
         errors, unlikelihood = errors_of(np.where(known, residual, 0.0), known)
     kept = wide._replace(measured=np.where(spikes, np.nan, data), errors=errors)
     again = assess(kept, scaled, directions)
-    again.widen(scaled - before, wide.model.derivative(scaled))
+    again.widen(scaled - before, wide.model.prior.slope(scaled))
     signal = np.where(np.isfinite(kept.measured).any(axis=2, keepdims=True), kept.measured, 0.0)  # 0: absent
     small = errors.slow <= np.maximum(LARGEST_SLOW_ERROR * np.nan_to_num(np.nanstd(signal, axis=2)), SMALL_SLOW_ERROR)
     again.holds[:] &= small.all(axis=1)
@@ -164,19 +162,18 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
         by_data_sheet = problem._replace(errors=None).linearised(scaled, directions).covariance()
         square = errors.of_model(samples) * (count * errors.slow**2).sum(axis=1)
         doubtful = as_white.covariance() + (square / HALF_WIDTH**2)[:, None, None] * by_data_sheet
-    values = model.values(scaled)
+    values = model.prior.value(scaled)
     timing: dict[str, Any] = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
     timing |= {name: values[:, model.names.index(name)] for name in timing if name in model.names}
     chi2 = (linear.residual**2).sum(axis=1)
     variance = np.einsum("bii->bi", doubtful)
     # A search that ended far off may have a singular information matrix: such a window is unreliable.
     misfit = np.where(np.all(variance > 0.0, axis=1), misfit_of(linear, covariance), np.inf)
-    scale = model.derivative(scaled)
     deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))
     return Estimate(
         names=model.names,
         values=values,
-        deviations=deviation * scale,
+        deviations=deviation * model.prior.slope(scaled),
         remaining=deviation,
         chi2_per_sample=chi2 / np.maximum(linear.known.sum(axis=(1, 2)), 1),
         misfit=misfit,

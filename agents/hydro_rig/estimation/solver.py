@@ -84,11 +84,9 @@ class Linearised(NamedTuple):
         return np.asarray(np.linalg.inv(information), dtype=np.float64)
 
     def equations(self, scaled: Floats, shared: Indices) -> Equations:
-        """Normal equations of each window, and those of the shared unknowns after its others are eliminated.
+        """Normal equations of each window at unknowns (B, P), and those of the ``shared`` ones with the others unknown.
 
-        Args:
-            scaled: unknowns, (B, P).
-            shared: indices of the shared unknowns, (p,), which have their prior once for all windows.
+        The shared unknowns, (p,), have their prior once for all windows.
         """
         weighted, jacobian = self.weight[:, None] * self.jacobian, self.jacobian
         own = np.delete(np.arange(jacobian.shape[1]), shared)
@@ -139,15 +137,9 @@ def fit(
 ) -> tuple[Floats, Floats]:
     """Improve the unknowns of windows until convergence: scaled unknowns, (B, P), and directions, (B, S, S).
 
-    While a fit is bad, its residuals are weighted by their own mean square: the prior then keeps the unknowns in a
-    plausible range until the model explains the readings.
-
-    Args:
-        problem: B windows.
-        first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
-        effort: of the search.
-        samples: number of first samples that are used; ``None``: all.
-        shared: indices of the unknowns that all windows have in common.
+    It begins at ``first``, (B, P) scaled, and uses the first ``samples``; the ``shared`` unknowns are those that all
+    windows have in common. While a fit is bad, its residuals are weighted by their own mean square: the prior then
+    keeps the unknowns in a plausible range until the model explains the readings.
     """
     scaled, level, active = first.copy(), np.full(len(first), 1e-2), np.arange(len(first))
     directions = np.empty((len(first), *[len(problem.model.simulated)] * 2))
@@ -182,12 +174,7 @@ def _eliminated(
 ) -> tuple[Floats, Floats, Floats]:
     """Solve windows for their own unknowns: solution (…, o, p + 1), information (…, p, p), score (…, p) of the shared.
 
-    Args:
-        inner: curvature of the own unknowns, damped or not, (…, o, o).
-        curvature: (…, P, P).
-        gradient: (…, P).
-        shared: indices, (p,).
-        own: indices, (o,).
+    ``inner``: curvature of the own unknowns, damped or not, (…, o, o).
     """
     across = curvature[..., shared[:, None], own]
     right = np.concatenate([across.swapaxes(-1, -2), gradient[..., own, None]], axis=-1)
@@ -227,13 +214,9 @@ def _cost(weight: Floats, square: Floats, scaled: Floats, shared: Indices) -> Fl
 def misfit_of(linear: Linearised, covariance: Any) -> Floats:
     """Excess of the residuals over their expectation from noise after a fit, in standard deviations, (B,).
 
-    The excess is infinite if it is not a number. Two sums of squares are tested, and the larger excess counts: of all
-    residuals, and of their means over blocks of samples. A small model error changes slowly; it is hidden in the noise
-    of single samples, but not in that of block means.
-
-    Args:
-        linear: readings and their derivatives at the result.
-        covariance: of the unknowns, (B, P, P).
+    Two sums of squares are tested, and the larger excess counts: of all residuals, and of their means over blocks of
+    samples. A small model error changes slowly; it is hidden in the noise of single samples, but not in that of block
+    means. ``covariance``: of the unknowns, (B, P, P). Infinite: no number.
     """
     residual, jacobian, _, known = linear
     windows, channels, samples = known.shape

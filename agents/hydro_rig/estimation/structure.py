@@ -4,8 +4,6 @@ Each is tried on a window that the model does not explain; that one is believed 
 likelihood, and then the next one. A window that is explained does not pay for them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from enum import StrEnum
@@ -96,13 +94,9 @@ Fit = Callable[[tuple[Part, ...], Estimate], Estimate]
 
 
 def with_parts(rigid: Estimate, possible: Mapping[Part, Lacking], usual: tuple[Part, ...], fit: Fit) -> Estimate:
-    """The estimate of a window with the parts that it shows.
+    """The estimate of a window with the ``possible`` parts that it shows; ``rigid``: that without parts.
 
-    Args:
-        rigid: the estimate of one window without parts, which do not explain it.
-        possible: the parts that it may show.
-        usual: parts of this axis in other windows, tried first.
-        fit: estimates the window with parts.
+    The ``usual`` parts of this axis in other windows are tried first.
     """
     best = rigid
     for attempt in range(MOST_PARTS + 1):

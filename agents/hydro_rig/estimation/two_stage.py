@@ -5,8 +5,6 @@ tells them apart and names faults surely, but one window takes half a second: it
 axis, which takes about one percent of a core.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

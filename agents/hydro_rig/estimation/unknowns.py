@@ -8,8 +8,6 @@ Priors: the ranges of the task, without its faults, become normal distributions 
 a positive quantity is log-normal.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

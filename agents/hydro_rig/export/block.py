@@ -4,24 +4,20 @@ It is written once, in array operations: Python runs it, and ``controller.py`` t
 ONNX. :class:`~hydro_rig.export.contract.State` lists the states; nothing but a new request of the user closes the loop.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_model import FlowModel
 from hydro_agents.controllers.own_loop import LOST_TIME, LOST_TRAVEL, STOPPING_TIME
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.settings import settings_of
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices, Mask
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.export.contract import FaultCode, State, block_inputs
+from hydro_rig.export.contract import FaultCode, MeasuredSignals, State, block_inputs
 from hydro_rig.export.internal_reference import InternalReference
-from hydro_rig.export.measured import MeasuredSignals
 from hydro_rig.export.tracing import named
 
 COUNTED = 1_000_000  # lost samples; no counter runs over
@@ -44,20 +40,20 @@ class Sample(NamedTuple):
 class BlockMemory(NamedTuple):
     """Memory from one sample to the next; zeros are those of a new block. Each () but path and parts of controller."""
 
-    state: NDArray[np.int64]
-    fault_code: NDArray[np.int64]
+    state: Indices
+    fault_code: Indices
     command: Floats  # V, of the last call
-    enabled: NDArray[np.bool_]  # inputs of the last call
-    asks_control: NDArray[np.bool_]
-    asks_manual: NDArray[np.bool_]
-    asks_reset: NDArray[np.bool_]
+    enabled: Mask  # inputs of the last call
+    asks_control: Mask
+    asks_manual: Mask
+    asks_reset: Mask
     last: dict[str, Floats]  # last valid sample of each signal
-    lost_samples: NDArray[np.int64]  # successive ones
+    lost_samples: Indices  # successive ones
     rest: Floats  # V, that holds the load of the last complete sample
-    seen: NDArray[np.bool_]  # whether there is a last position from which the speed follows
+    seen: Mask  # whether there is a last position from which the speed follows
     velocity_estimate: Floats  # m/s
     error_integral: Floats | None  # m s; None: the controller does not read it
-    follows: NDArray[np.bool_]  # the given reference is a motion; else a target of the block's own motion
+    follows: Mask  # the given reference is a motion; else a target of the block's own motion
     path: Floats  # (horizon + 1,), m, now and ahead: what is added to the reference, or the own motion
     path_speed: Floats  # m/s, at its end
     controller: Any
@@ -73,13 +69,13 @@ class Block:
         self._integral_time = float(settings["integral_time"])
         self._integral_limit = float(settings["integral_limit"])
         self._model, self._speed_per_volt = FlowModel(plant), max(speed_limits(plant)) / FULL_VOLTAGE
-        self._reference = InternalReference(signals)
+        own = self._reference = InternalReference(signals)
         features = getattr(controller, "features", None)
         self.base: Any = features.base if features is not None else controller
         """The controller that a policy corrects, or the controller itself; ``None`` for a policy that acts alone."""
         self.corrects = features is not None and features.base is not None
         self.estimates: tuple[str, ...] = getattr(self.base, "estimate_names", ())
-        self.inputs = block_inputs(signals.signals, self._reference, self.corrects)
+        self.inputs = block_inputs(signals.signals, own.max_speed, own.max_acceleration, self.corrects)
 
     # Before the controller: signals, state, reference ---------------------------------------------------------------
 

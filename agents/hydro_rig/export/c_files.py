@@ -1,12 +1,9 @@
 """Exported files: C from templates, compiled and compared with Python by its test program."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,26 +16,9 @@ TEMPLATES = Path(__file__).parent / "templates"
 WARNINGS = ("-Wall", "-Wextra", "-Werror")
 
 
-@dataclass(frozen=True)
-class CCode:
-    """A C file and its header, as text."""
-
-    name: str
-    header: str
-    source: str
-    template: str  # name of its templates
-
-    @property
-    def files(self) -> dict[str, str]:
-        """Texts by file name."""
-        return {f"{self.name}.c": self.source, f"{self.name}.h": self.header}
-
-
-def c_code(name: str, values: Mapping[str, Any], template: str = "") -> CCode:
-    """The templates ``NAME.h.j2`` and ``NAME.c.j2`` with values; ``template`` if it has another name than the code."""
-    template = template or name
-    header, source = (render(f"{template}.{kind}.j2", values) for kind in ("h", "c"))
-    return CCode(name, header, source, template)
+def c_code(name: str, values: Mapping[str, Any], template: str = "") -> dict[str, str]:
+    """The files ``NAME.c`` and ``NAME.h``, from the templates of this name, or of that of ``template``."""
+    return {f"{name}.{kind}": render(f"{template or name}.{kind}.j2", values) for kind in ("c", "h")}
 
 
 def render(template: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> str:
@@ -116,17 +96,15 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[float]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def tested(code: CCode, vectors: str, values: Mapping[str, Any]) -> tuple[dict[str, bytes], str]:
+def tested(
+    name: str, template: str, code: Mapping[str, str], vectors: str, values: Mapping[str, Any]
+) -> tuple[dict[str, bytes], str]:
     """The files of a folder by name: code, its test program, vectors as CSV, and a page; and what the program says.
 
     Raises:
         HydroError: as :func:`compared`.
     """
-    texts = {
-        **code.files,
-        f"test_{code.name}.c": render(f"test_{code.template}.c.j2", values),
-        "vectors.csv": vectors,
-    }
-    said = compared(code.name, texts)
-    texts["README.md"] = render(f"{code.template}_readme.md.j2", {**values, "said": said})
-    return {name: text.encode() for name, text in texts.items()}, said
+    texts = {**code, f"test_{name}.c": render(f"test_{template}.c.j2", values), "vectors.csv": vectors}
+    said = compared(name, texts)
+    texts["README.md"] = render(f"{template}_readme.md.j2", {**values, "said": said})
+    return {file: text.encode() for file, text in texts.items()}, said

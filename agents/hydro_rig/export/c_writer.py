@@ -1,7 +1,5 @@
 """Writes a graph of array operations as statements: plain loops over arrays of fixed size; and what makes them C99."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -67,20 +65,13 @@ class Writer:
 
     A statement is a whole line of Python: it takes up the numbers that only this line needs. Arithmetic in single
     precision stays in statements of its own, because a processor may compute an expression more exactly.
-
-    Args:
-        graph: from which the statements come.
-        inputs: text of each of its inputs, by name; for an array without index.
-        language: of the statements.
-        taken: further names that no variable may have.
-        prefix: of the names of tables, for a file that contains others.
     """
 
     graph: Graph
-    inputs: Mapping[str, str]
+    inputs: Mapping[str, str]  # text of each input of the graph, by name; for an array without index
     language: Language = C
-    taken: Sequence[str] = ()
-    prefix: str = ""
+    taken: Sequence[str] = ()  # further names that no variable may have
+    prefix: str = ""  # of the names of tables, for a file that contains others
     tables: list[str] = field(default_factory=list)
     declared: list[str] = field(default_factory=list)  # where the language wants them first
     work: dict[str, tuple[np.dtype[Any], int]] = field(default_factory=dict)  # there: arrays that several values share

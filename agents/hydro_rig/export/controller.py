@@ -1,13 +1,11 @@
 """A controller and its block as a graph, traced from measured signals to volts, and this graph as C99."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,11 +15,10 @@ from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import GainRow, gain_rows
 from hydro_env import TaskConfig, __version__
 from hydro_rig.export.block import Block
-from hydro_rig.export.c_files import CCode, c_code
+from hydro_rig.export.c_files import c_code
 from hydro_rig.export.c_writer import Writer, declaration
-from hydro_rig.export.contract import OUTPUTS, BlockInput, State
+from hydro_rig.export.contract import OUTPUTS, BlockInput, MeasuredSignals, State
 from hydro_rig.export.graph import Graph, Node, in_order, in_single, needed
-from hydro_rig.export.measured import MeasuredSignals
 from hydro_rig.export.tracing import TraceError, named, trace
 
 STARTED, CONTINUED = "started.", "continued."
@@ -64,7 +61,7 @@ class ControllerGraph:
         """Type of its numbers."""
         return self.graph.inputs["output_limit"].kind
 
-    def in_single(self) -> ControllerGraph:
+    def in_single(self) -> Self:
         """The same block in single precision."""
         graph = in_single(self.graph)
         return replace(self, graph=graph, memory=tuple(graph.inputs[part.name] for part in self.memory))
@@ -208,8 +205,8 @@ def _rebuilt(memory: Any, name: str, leaf: Callable[[str, Any], Any]) -> Any:
 # As text -----------------------------------------------------------------------------------------------------------
 
 
-def controller_code(controller: ControllerGraph, name: str = "Controller") -> CCode:
-    """C sources of a block; ``name`` begins every symbol, so that one program can hold several."""
+def controller_code(controller: ControllerGraph, name: str = "Controller") -> dict[str, str]:
+    """C sources of a block by file; ``name`` begins every symbol, so that one program can hold several."""
     texts = {part.name: f"self->{field(part.name)}" for part in controller.memory}
     texts |= {row.name: f"self->{row.name}" for row in controller.inputs}
     outputs = {name: f"self->{name}" for name in controller.outputs}
@@ -244,13 +241,9 @@ def written_step(
 ) -> dict[str, Any]:
     """What the templates of C and Structured Text write beside the facts: tables, memory, the statements of a step.
 
-    These are ``common``, then those of a start or of a continuation or ``idle`` ones, then ``after``.
-
-    Args:
-        controller: the controller.
-        writer: of the language.
-        texts: variable of each input of the graph, and of each part of the memory, by its name.
-        outputs: variable of each output, by its name; some are parts of the memory too.
+    These are ``common``, then those of a start or of a continuation or ``idle`` ones, then ``after``. ``texts``: the
+    variable of each input of the graph and part of the memory by name; ``outputs``: of each output, of which some are
+    parts of the memory too.
     """
     shared, language = controller.common, writer.language
     parts = {part.name: part for part in controller.memory}

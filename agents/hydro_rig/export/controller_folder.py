@@ -1,7 +1,5 @@
 """The folder of an exported controller: all files that a machine needs to run it, checked before they are written."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence
@@ -23,8 +21,7 @@ from hydro_rig.export.c_files import csv_text, tested
 from hydro_rig.export.contract import LOST_RULE
 from hydro_rig.export.controller import GAINS, ControllerGraph, c_name, controller_code, controller_graph, facts_of
 from hydro_rig.export.onnx_writer import controller_model, onnx_session
-from hydro_rig.export.plcopen import plcopen_xml
-from hydro_rig.export.structured_text import RESERVED, call_example, st_name, structured_text
+from hydro_rig.export.structured_text import RESERVED, call_example, plcopen_xml, st_name, structured_text
 
 LARGEST_DIFFERENCE = 1e-5
 """Largest difference of the command between the exported controller and the one in Python; more is an error."""
@@ -52,8 +49,8 @@ class Vector(NamedTuple):
 def files_of(name: str) -> tuple[str, ...]:
     """Names of the files of a block with a name."""
     code = c_name(name)
-    sources = (f"{code}.c", f"{code}.h", f"{code}.st", f"{code}_call.st", f"{code}.xml", f"test_{code}.c")
-    return (MODEL_FILE, *sources, "vectors.csv", TASK_FILE, "README.md")
+    sources = (code + end for end in (".c", ".h", ".st", "_call.st", ".xml"))
+    return (MODEL_FILE, *sources, f"test_{code}.c", "vectors.csv", TASK_FILE, "README.md")
 
 
 def check_block_name(name: str) -> None:
@@ -210,12 +207,7 @@ def _script(run: _Episode, gains: Sequence[str]) -> list[tuple[int, dict[str, An
 
 
 def exported_files(
-    controller: Controller,
-    config: TaskConfig,
-    command: str,
-    origin: str = "",
-    name: str = NAME,
-    single: bool = False,
+    controller: Controller, config: TaskConfig, command: str, origin: str = "", name: str = NAME, single: bool = False
 ) -> tuple[dict[str, bytes], list[str]]:
     """The files of an exported controller by name, and the results of their checks, one line each.
 
@@ -232,7 +224,7 @@ def exported_files(
     model = controller_model(graph).SerializeToString()
     vectors, gains = make_vectors(graph), getattr(controller, "gains", None)
     written = graph.in_single() if single else graph
-    code, in_text = controller_code(written, name), structured_text(written, name)
+    prefix, in_text = c_name(name), structured_text(written, name)
     values = {
         **facts_of(graph, name),
         "command": command,
@@ -251,17 +243,13 @@ def exported_files(
     in_onnx = check_onnx(model, graph, vectors)
     rows = [[start, *given.values(), *found.values()] for start, given, found in vectors]
     csv = csv_text([*(row.name for row in graph.inputs), *COMPARED], rows)
-    files, in_c = tested(code, csv, values)
+    files, in_c = tested(prefix, "controller", controller_code(written, name), csv, values)
     task = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
     call = call_example(written, name)
-    texts = {
-        f"{code.name}.st": in_text,
-        f"{code.name}_call.st": call,
-        f"{code.name}.xml": plcopen_xml(in_text + call, name),
-    }
-    files |= {file: text.encode("ascii") for file, text in texts.items()}
+    texts = {".st": in_text, "_call.st": call, ".xml": plcopen_xml(in_text + call, name)}
+    files |= {prefix + end: text.encode("ascii") for end, text in texts.items()}
     files |= {MODEL_FILE: model, TASK_FILE: task.encode()}
-    return files, [f"{MODEL_FILE}: {in_onnx}", f"{code.name}.c: {in_c}"]
+    return files, [f"{MODEL_FILE}: {in_onnx}", f"{prefix}.c: {in_c}"]
 
 
 def check_onnx(model: bytes, graph: ControllerGraph, vectors: list[Vector]) -> str:

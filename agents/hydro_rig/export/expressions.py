@@ -1,11 +1,9 @@
 """Python expressions as C99: types of C, then the translation to text and type."""
 
-from __future__ import annotations
-
 import ast
 import builtins
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -27,10 +25,10 @@ class Type(NamedTuple):
         """Number of elements."""
         return math.prod(self.shape)
 
-    def row(self, indices: int = 1) -> Type:
+    def row(self, indices: int = 1) -> Self:
         """Type of an array after its first indices."""
         left = self.shape[indices:]
-        return Type(self.element, left, self.constant and bool(left))
+        return self._replace(shape=left, constant=self.constant and bool(left))
 
     def declared(self, name: str) -> str:
         """Declaration of a variable; an array is a pointer to its first element."""
@@ -62,9 +60,8 @@ class TranslationError(HydroError):
 class Expressions:
     """The expressions of one function.
 
-    Attributes:
-        names: types of arguments and local variables.
-        module: what is known at translation by name: the function's module, and lengths of arrays.
+    ``names``: types of arguments and local variables; ``module``: what is known at translation by name, that of the
+    function's module and lengths of arrays.
     """
 
     def __init__(self, translator: Any, name: str, module: dict[str, Any]) -> None:

@@ -157,7 +157,7 @@ class Builder:
             return self.constant(value, details.get("name", ""))
         return self._once(Node(operation, tuple(operands), value.size, value.dtype, **details))
 
-    def collect(self, numbers: NDArray[np.int64], kind: np.dtype[Any], **details: Any) -> Node:
+    def collect(self, numbers: NDArray[Any], kind: np.dtype[Any], **details: Any) -> Node:
         """The node that holds some elements, by their numbers, (size,)."""
         pieces: list[tuple[Node, int]] = [self._elements[number] for number in numbers]
         firsts: dict[Node, int] = {}

@@ -1,7 +1,5 @@
 """The reference that a controller in a block sees: from the axis to the given one, without a jump."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +8,7 @@ import numpy as np
 from hydro_agents.controllers.base import MOVING
 from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
 from hydro_env.task.paces import full_speed
-from hydro_rig.export.measured import MeasuredSignals, ahead_name
+from hydro_rig.export.contract import MeasuredSignals, ahead_name
 from hydro_rig.export.tracing import named
 
 SPEED_SHARE = 0.5  # of the lower full speed: the usual speed with which the axis joins its reference
@@ -20,11 +18,7 @@ LARGEST = 1e9  # m/s, m/s²: no limit
 
 
 class InternalReference:
-    """An own motion to a target, or what is added to a given motion until both are one.
-
-    Args:
-        signals: of the block.
-    """
+    """An own motion to a target, or what is added to a given motion until both are one."""
 
     def __init__(self, signals: MeasuredSignals) -> None:
         plant = signals.config.plant

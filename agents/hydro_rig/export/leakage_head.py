@@ -4,8 +4,6 @@ Repair of gaps, flow balance and features are translated from the compiled funct
 the network is traced from its NumPy code.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -20,10 +18,10 @@ from hydro_env import ServoHydraulicVectorEnv, __version__
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
-from hydro_rig.export.c_files import CCode, c_code, csv_text, tested
+from hydro_rig.export.c_files import c_code, csv_text, tested
 from hydro_rig.export.c_writer import Writer
+from hydro_rig.export.contract import SENSOR_MEANINGS
 from hydro_rig.export.expressions import DOUBLE, array
-from hydro_rig.export.measured import SENSOR_MEANINGS
 from hydro_rig.export.tracing import trace
 from hydro_rig.export.translator import Translator
 
@@ -52,8 +50,8 @@ VECTOR_LEAKS = (0.01, 0.5, 2.0)  # l/min at 100 bar, in the episodes of the test
 ESTIMATES = 4  # control periods per episode of the test vectors
 
 
-def head_code(head: LeakageHead) -> CCode:
-    """C sources of a head, for windows of its shortest length.
+def head_code(head: LeakageHead) -> dict[str, str]:
+    """C sources of a head by file, for windows of its shortest length.
 
     Raises:
         TranslationError, TraceError: a function uses a construct without translation.
@@ -123,7 +121,7 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
     rows = []
     for signals, answer in zip(samples, answers, strict=True):
         rows += [[k == 0, *signals[k], *answer[k]] for k in range(length)]
-    files, in_c = tested(head_code(head), csv_text([*SIGNALS, *FIELDS], rows), values)
+    files, in_c = tested(NAME, NAME, head_code(head), csv_text([*SIGNALS, *FIELDS], rows), values)
     return files, [f"leakage_head.c: {in_c}"]
 
 

@@ -1,7 +1,5 @@
 """Writes a graph of array operations as an ONNX model: plain operators, fixed shapes, one-dimensional tensors."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -46,12 +44,7 @@ def onnx_session(model: bytes) -> Any:
 
 
 class OnnxWriter:
-    """Collects the operators of one ONNX model.
-
-    Args:
-        inputs: of the model, by name.
-        outputs: names of its outputs, which no other tensor may have.
-    """
+    """Collects the operators of one ONNX model, from its inputs by name and the names of its outputs."""
 
     def __init__(self, inputs: Mapping[str, Node], outputs: Sequence[str]) -> None:
         self._onnx = package("onnx")
@@ -82,12 +75,7 @@ class OnnxWriter:
         return unique
 
     def model(self, outputs: Mapping[str, Node], title: str, facts: Mapping[str, str]) -> Any:
-        """The model, checked.
-
-        Args:
-            outputs: what it gives, by name.
-            title: one sentence.
-            facts: further properties.
+        """The model of outputs by name, checked; ``title``: one sentence; ``facts``: further properties.
 
         Raises:
             HydroError: the checker of the package onnx finds a mistake.
@@ -99,9 +87,8 @@ class OnnxWriter:
         described = [self._described(name, node) for name, node in outputs.items()]
         graph = helper.make_graph(self._nodes, "controller", self._inputs, described, self._constants, title)
         opset = helper.make_opsetid("", OPSET)
-        model = helper.make_model(
-            graph, opset_imports=[opset], ir_version=8, producer_name="hydro_env", producer_version=__version__
-        )
+        origin = {"producer_name": "hydro_env", "producer_version": __version__}
+        model = helper.make_model(graph, opset_imports=[opset], ir_version=8, **origin)
         helper.set_model_props(model, dict(facts))
         try:
             self._onnx.checker.check_model(model, full_check=True)
@@ -132,17 +119,12 @@ class OnnxWriter:
             other = self.add("And", [self.add("Not", [test], f"not_{name}"), no], name)
             return self.add("Or", [self.add("And", [test, yes], name), other], name, origin)
         if node.operation == "sum":
-            outer, length, inner = node.sizes
-            shaped = tensors[0] if node.size == 1 else self._shaped(tensors[0], (outer, length, inner), name)
-            axis = self._constant(np.array([0 if node.size == 1 else 1]), "axis")
-            keep = int(node.size == 1)
-            total = self.add("ReduceSum", [shaped, axis], name, origin, keepdims=keep)
-            return total if node.size == 1 else self._shaped(total, (node.size,), name)
+            terms = [self._shaped(tensors[0], node.sizes, name), self._constant(np.array([1]), "axis")]
+            return self._shaped(self.add("ReduceSum", terms, name, origin, keepdims=0), (node.size,), name)
         if node.operation == "matmul":
             rows, inner, columns = node.sizes
-            left = tensors[0] if rows == 1 and columns > 1 else self._shaped(tensors[0], (rows, inner), name)
-            product = self.add("MatMul", [left, self._shaped(tensors[1], (inner, columns), name)], name, origin)
-            return product if rows == 1 and columns > 1 else self._shaped(product, (rows * columns,), name)
+            factors = [self._shaped(tensors[0], (rows, inner), name), self._shaped(tensors[1], (inner, columns), name)]
+            return self._shaped(self.add("MatMul", factors, name, origin), (node.size,), name)
         return self.add(_OPERATORS[node.operation], tensors, name, origin)
 
     def _shaped(self, tensor: str, shape: tuple[int, ...], name: str) -> str:

@@ -5,8 +5,6 @@ Inputs of the FMU: voltage of the valve, external force, leakage past the piston
     Co-Simulation*, versions 2.0 and 3.0.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import math
@@ -39,7 +37,7 @@ from hydro_env.plant.states import ALL_STATES, State, state_kind
 from hydro_env.task.faults import fault_limits
 from hydro_env.task.settings import settings_of
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
-from hydro_rig.export.c_files import CCode, c_code, compiled, render
+from hydro_rig.export.c_files import c_code, compiled, render
 from hydro_rig.export.expressions import DOUBLE
 from hydro_rig.export.translator import Translator
 
@@ -61,8 +59,8 @@ BASE_UNITS = {
 _ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
 
 
-def plant_code(parameters: PlantParameters | None = None) -> CCode:
-    """Generate the plant with the parameters of a rig as its defaults; ``None`` is the paper's.
+def plant_code(parameters: PlantParameters | None = None) -> dict[str, str]:
+    """C sources of the plant by file, with the parameters of a rig as its defaults; ``None`` is the paper's.
 
     Raises:
         TranslationError: the plant uses a construct without translation.
@@ -220,9 +218,9 @@ def make_fmus(config: TaskConfig) -> tuple[bytes, bytes]:
         "flow_to_external_leak": LITRE_PER_MINUTE / ROD_SEAL.at_test,
         "guid": "",
     }
-    digest = hashlib.sha256((code.source + render("fmu.c.j2", values)).encode()).hexdigest()
+    digest = hashlib.sha256((code["plant.c"] + render("fmu.c.j2", values)).encode()).hexdigest()
     values["guid"] = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, digest)) + "}"
-    plant, core = {"plant.h": code.header, "plant.c": code.source}, render("fmu.c.j2", values)
+    plant, core = {name: code[name] for name in ("plant.h", "plant.c")}, render("fmu.c.j2", values)
     folder, newer_folder, suffix = BINARIES[sys.platform]
     return (
         _packed(render("modelDescription.xml.j2", values), {**plant, "fmu.c": core}, f"{folder}/{MODEL}{suffix}"),

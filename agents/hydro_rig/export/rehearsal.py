@@ -3,8 +3,6 @@
 :class:`CBlock` loads the code of a folder; :data:`SCENES` lists what happens; :func:`rehearse` plays them.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import re
@@ -15,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from hydro_agents.report.kit import BLUE, GREY, ORANGE, Page, drawn, legend, signal, time_panels
 from hydro_agents.running.machine import Origin
@@ -26,11 +23,10 @@ from hydro_env.files import write_text
 from hydro_env.plant.analysis import reachable_range
 from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import WARNINGS, compiled
-from hydro_rig.export.contract import State
-from hydro_rig.export.measured import MeasuredSignals
+from hydro_rig.export.contract import MeasuredSignals, State
 
 JOB, FILES = "rehearse", ("rehearsal.html", "rehearsal.csv")
 MOVED = 0.5  # of the reach with a weak supply, in its middle: from there to there a move goes
@@ -48,10 +44,7 @@ _TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "float": ctypes.c_float, "
 
 
 class CBlock:
-    """An exported block in C, compiled and loaded: its inputs and outputs are the attributes of ``self.values``.
-
-    Args:
-        folder: that ``hydro export`` wrote.
+    """The block of an exported folder, compiled and loaded: its inputs and outputs are attributes of ``self.values``.
 
     Raises:
         ConfigurationError: it holds no exported block.
@@ -123,7 +116,7 @@ class Take(NamedTuple):
     position: Floats
     reference: Floats  # that the controller follows; NaN unless it controls
     command: Floats  # V
-    state: NDArray[np.int64]
+    state: Indices
     event: int  # number of its sample
     moves: tuple[int, int, int]  # number of the sample in which each move begins, and of the end
     targets: tuple[float, float]  # of the moves

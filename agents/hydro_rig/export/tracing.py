@@ -34,12 +34,9 @@ class TraceError(HydroError):
 
 
 def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, NDArray[Any]]) -> Graph:
-    """The graph of a function of named arrays that returns named arrays.
+    """The graph of a function of named arrays that returns named arrays; it is called once, with examples of these.
 
-    Args:
-        function: called once, with the inputs as keywords.
-        inputs: an example of each input, of the types of :data:`~hydro_rig.export.graph.KINDS`. The graph
-            does not depend on their values, only on their shapes.
+    The examples have types of :data:`~hydro_rig.export.graph.KINDS`. The graph depends on their shapes alone.
 
     Raises:
         TraceError: a graph cannot represent the function; the message names the line.

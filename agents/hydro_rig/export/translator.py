@@ -6,8 +6,6 @@ for the types with which it is called. A construct outside this language raises 
 wrong.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import textwrap

@@ -4,10 +4,8 @@ A cost with friction and edges has local minima. The search therefore begins at 
 found by themselves. Windows that the common values do not explain are fitted again from them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -62,15 +60,9 @@ class Joint(NamedTuple):
     misfit: Floats  # (B,), as in hydro_rig.estimation.result.Estimate
 
     @property
-    def precision(self) -> Floats:
-        """Inverse covariance of the shared unknowns, (p, p), including the priors."""
-        total: Floats = self.information.sum(axis=0) + np.eye(len(self.shared))
-        return total
-
-    @property
     def covariance(self) -> Floats:
-        """Of the shared unknowns, (p, p)."""
-        return np.asarray(np.linalg.inv(self.precision), np.float64)
+        """Of the shared unknowns, (p, p), including the priors."""
+        return np.asarray(np.linalg.inv(self.information.sum(axis=0) + np.eye(len(self.shared))), np.float64)
 
     @property
     def common(self) -> Floats:
@@ -87,16 +79,16 @@ class Common(NamedTuple):
     misfit: Floats  # (B,), of all windows; infinite for one that was left out
 
     @classmethod
-    def of(cls, count: int, kept: Indices, problem: Problem, joint: Joint) -> Common:
+    def of(cls, count: int, kept: Indices, problem: Problem, joint: Joint) -> Self:
         """The fit of the windows ``kept`` of ``count`` ones."""
         misfit = np.full(count, np.inf)
         misfit[kept] = joint.misfit
         return cls(problem, joint, misfit)
 
-    def continued(self, problem: Problem, first: Floats) -> Common:
+    def continued(self, problem: Problem, first: Floats) -> Self:
         """The fit of the same windows with another problem, from its first values on."""
         kept = np.flatnonzero(np.isfinite(self.misfit))
-        return Common.of(len(self.misfit), kept, problem, fit_together(problem, first))
+        return self.of(len(self.misfit), kept, problem, fit_together(problem, first))
 
     @property
     def model(self) -> Model:
@@ -116,12 +108,7 @@ class Common(NamedTuple):
 
 
 def fit_together(problem: Problem, first: Floats) -> Joint:
-    """The most probable shared parameters and start states of several windows.
-
-    Args:
-        problem: of the B windows.
-        first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
-    """
+    """The most probable shared parameters and start states of B windows; it begins at ``first``, (B, P) scaled."""
     shared, _ = shared_and_own(problem.model)
     scaled, directions = descend(problem, first, FINE)
     for _ in range(LINEARISATIONS):
@@ -213,7 +200,7 @@ def _nearby(windows: Windows, config: TaskConfig, found: Common) -> Estimate:
         own = priors[model.names[place]]
         priors[model.names[place]] = Prior(float(own.value(value)), share * own.deviation, own.logarithmic)
     near = estimate(windows.signals, config, list(priors), priors=priors, settings=ROUGHLY, boundary=windows.boundary)
-    near.scaled[:] = model.scaled(near.values)
+    near.scaled[:] = model.prior.scaled(near.values)
     return near
 
 

@@ -4,8 +4,6 @@ The estimator (:mod:`hydro_rig.estimation.estimate`) estimates them from the win
 explain.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np
@@ -29,11 +27,9 @@ SPIKES = 0.002  # share of spikes that is worth a line
 
 
 def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
-    """What the recording says of timing and errors that the data sheet does not, one finding each.
+    """What the windows of a recording say of timing and errors that the data sheet does not, one finding each.
 
-    Args:
-        found: the windows of a recording; the medians of those with an answer count, or of all if there is none.
-        task: as the estimate assumed it.
+    The medians of the windows with an answer count, or of all if there is none.
     """
     used = found.part(np.flatnonzero(found.holds)) if found.holds.any() else found
     end = "used" if found.holds.any() else "the model still does not hold"
@@ -49,8 +45,8 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
         if slow > SLOW:
             odd.append((name, f"differs slowly from the model, by {_size(channel, slow, task)}"))
         if spikes > SPIKES:
-            spiky.append(Finding(name, "has spikes: left out", Weight.NOTE, share=spikes))
-    findings = [Finding(signal, f"{what}: {end}", Weight.NOTE) for signal, what in odd] + spiky
+            spiky.append(Finding(name, "has spikes: left out", share=spikes))
+    findings = [Finding(signal, f"{what}: {end}") for signal, what in odd] + spiky
     if found.holds.any() and found.of_model[found.holds].mean() >= MOST_DIFFER:
         findings.append(Finding("model", "differs slowly from several signals, which can hide a leak", Weight.DOUBT))
     return findings

@@ -2,34 +2,167 @@
 
 The windows of a recording share the parameters of the rig, and each has its own initial state. They are short: a small
 error of the model cannot grow, and gaps between windows do not matter.
-"""
 
-from __future__ import annotations
+**Scatter.** With a slightly wrong model the windows of a recording contradict each other by more than the noise
+explains. The covariance is that of a sandwich whose clusters are the windows: A⁻¹ B A⁻¹ with the information A and the
+outer products B of the windows' scores. Few windows estimate B badly. Each score is therefore corrected for the share
+of the fit that its own window decides (Bell and McCaffrey, *Survey Methodology* 28, 2002), and the ratio of each
+variance to that of the model is moderated by the ratio that the unknowns have in common (Smyth, *Statistical
+Applications in Genetics and Molecular Biology* 3, 2004): a badly described direction widens its own unknowns, not all.
+
+**Recordings.** Where there are several, the clusters are also the recordings: their windows may err together.
+
+**Limits.** A limit that the motion never reached, such as the slew limit of a valve, leaves the cost flat beyond the
+found value, whatever the slope at it says: the recordings do not determine it.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from hydro_agents.detection.detector import Windows
-from hydro_env import TaskConfig
+from hydro_env import PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.sensors import PRESSURE_A, SENSORS
 from hydro_env.types import Floats, Indices, Mask
+from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
     EXTERNAL_RESISTANCE,
     LEAKAGE,
+    PATHS,
+    Prior,
     priors_of,
     starts_of,
 )
-from hydro_rig.identification.common_fit import WELL_FITTED, Common, common_fit
-from hydro_rig.identification.intervals import possible_ends, range_ends, spread_of, truncated_end, within_bounds
+from hydro_rig.identification.common_fit import WELL_FITTED, Common, Joint, common_fit
 
+TAIL = 0.025  # of the 95 % interval, to each side
+MODERATION = 4.0  # degrees of freedom of the common ratio; seven windows, the usual number in 20 s, have six
+
+LEAST_RATIO = 1.0  # a variance is never below this share of the model's
+MOST_OWN = 0.95  # largest share of a direction that one window decides, in the correction of its score
+
+SURE_RISE = 3.0
+"""Rise of the cost, in standard deviations, up to which an end of a range is possible: the few readings that reached a
+limit may favour it by chance, and then all larger values are as likely."""
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 DETERMINED = 0.5
 """A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
+
+
+class Spread(NamedTuple):
+    """Uncertainty of the p common unknowns, scaled by their ranges."""
+
+    widening: Floats  # (p,), factor on the standard deviations of the model, from the scatter of the windows
+    reach: Floats  # (p,), half of the 95 % interval
+
+
+def spread_of(joint: Joint, recording: Indices | None = None) -> Spread:
+    """The moderated cluster-robust uncertainty of a common fit; the prior counts as known exactly.
+
+    ``recording``: number of the recording of each window, (B,); the larger uncertainty of both clusters counts.
+    """
+    spread = _spread(joint, joint.information, joint.score)
+    if recording is None or len(np.unique(recording)) < 2:
+        return spread
+    member = (np.unique(recording)[:, None] == recording).astype(np.float64)  # (recordings, B)
+    other = _spread(joint, np.tensordot(member, joint.information, 1), member @ joint.score)
+    return Spread(*map(np.maximum, spread, other))
+
+
+def _spread(joint: Joint, information: Floats, score: Floats) -> Spread:
+    """The uncertainty with clusters of this information (C, p, p) and score (C, p)."""
+    covariance = joint.covariance
+    values, vectors = np.linalg.eigh(covariance)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    shares, directions = np.linalg.eigh(root @ information @ root)  # of each window, (B, p), (B, p, p)
+    own = 1.0 / np.sqrt(1.0 - np.clip(shares, 0.0, MOST_OWN))
+    turned = np.einsum("bij,bi->bj", directions, score @ root)
+    moves = np.einsum("bij,bj->bi", directions, own * turned) @ root  # (B, p), of the unknowns, by each window
+    expected = np.einsum("ij,bjk,ki->bi", covariance, information, covariance)
+    total, variance = expected.sum(axis=0), np.diag(covariance)
+    ratio = (moves**2).sum(axis=0) / np.maximum(total, 1e-300)
+    freedom = total**2 / np.maximum((expected**2).sum(axis=0), 1e-300)  # Satterthwaite: the windows that count
+    common = max(1.0, float(np.median(ratio)))
+    ratio = np.maximum((MODERATION * common + freedom * ratio) / (MODERATION + freedom), LEAST_RATIO)
+    informed = np.clip(total / variance, 0.0, 1.0)  # the rest is the prior's
+    widening = np.sqrt(1.0 - informed + informed * ratio)
+    quantile = stats.t.ppf(1.0 - TAIL, MODERATION + freedom)
+    reach = np.minimum(quantile * widening * np.sqrt(variance), stats.norm.ppf(1.0 - TAIL))
+    return Spread(widening, reach)
+
+
+def possible_ends(problem: Problem, joint: Joint, spread: Spread, ends: Floats) -> Mask:
+    """Whether the readings allow each unknown to move alone to the lower and to the upper end of its range, (p, 2).
+
+    ``ends``: of the ranges, (p, 2), scaled; infinite for unknowns that no limit describes.
+    """
+    middle, count = joint.common[:, None], len(joint.shared)
+    bounded = (ends[:, :1] < middle) & (middle < ends[:, 1:]) & np.isfinite(ends).all(axis=1, keepdims=True)
+    rows = np.repeat(joint.scaled[:, None], 2 * count + 1, axis=1)
+    for place, unknown in enumerate(joint.shared.tolist()):
+        rows[:, 2 * place + 1 : 2 * place + 3, unknown] = np.where(bounded[place], ends[place], middle[place])
+    known = np.isfinite(problem.measured)
+    square = np.ascontiguousarray((problem.residual(rows) ** 2).sum(axis=3).swapaxes(0, 1))  # (2p + 1, B, channels)
+    weight = 1.0 / np.maximum(square[0] / np.maximum(known.sum(axis=2), 1), 1.0)  # as in the fit
+    cost = np.nan_to_num((weight * square).sum(axis=(1, 2)), nan=np.inf, posinf=np.inf)
+    rise = (cost[1:] - cost[0]).reshape(count, 2)
+    return np.asarray(bounded & (rise < (SURE_RISE * spread.widening[:, None]) ** 2))
+
+
+def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
+    """Lowest and highest value that a range allows, SI, including the value without the range.
+
+    Factors multiply the value of the given rig ``plant``; the rig that was ``found`` gives the value of a parameter
+    that multiplies the range (``times``).
+    """
+    factor = 1.0 if given.times is None else own_value(found, given.times)
+    ends = [factor * end for end in given.bounds(own_value(plant, path))]
+    if given.otherwise is not None:
+        ends.append(given.otherwise)
+    return min(ends), max(ends)
+
+
+def range_ends(config: TaskConfig, ranges: Mapping[str, Distribution], priors: Mapping[str, Prior]) -> Floats:
+    """Ends of the ranges of some unknowns, (p, 2), scaled by their priors; infinite without a range of its own."""
+    ends = np.tile([-np.inf, np.inf], (len(priors), 1))
+    for place, (name, prior) in enumerate(priors.items()):
+        if name in ranges and ranges[name].otherwise is None:
+            low, high = hull(config.plant, config.plant, name, ranges[name])
+            if low > 0.0 or not prior.logarithmic:
+                ends[place] = prior.scaled(low), prior.scaled(high)
+    return ends
+
+
+def within_bounds(plant: PlantParameters, name: str, value: float) -> float:
+    """A value within the physical bounds of an unknown: no leak is negative, no area 0."""
+    if name in (LEAKAGE, EXTERNAL_LEAKAGE):
+        return max(value, 0.0)
+    if name not in PATHS:
+        return value
+    group, field = name.split(".")
+    for bound in type(getattr(plant, group)).model_fields[field].metadata:
+        low, above, high = (getattr(bound, kind, None) for kind in ("ge", "gt", "le"))
+        if low is not None:
+            value = max(value, low)
+        if above is not None and value <= above:
+            value = above + 1e-6
+        if high is not None:
+            value = min(value, high)
+    return value
+
+
+def truncated_end(value: float, low: float, high: float) -> float:
+    """Upper end of the 95 % interval of a size that cannot be negative, from its normal distribution's interval."""
+    deviation = (high - low) / (2.0 * float(stats.norm.ppf(1.0 - TAIL)))
+    if low >= 0.0 or deviation <= 0.0:
+        return high
+    positive = float(stats.norm.sf(-value / deviation))
+    return max(high, value + deviation * float(stats.norm.isf(TAIL * positive)))
 
 
 class Unknown(NamedTuple):

@@ -1,7 +1,5 @@
 """The identified rig: its plant, its narrowed ranges, its YAML file, and how a person reads its numbers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from copy import deepcopy
@@ -25,8 +23,7 @@ from hydro_rig.estimation.unknowns import (
     PATHS,
     RISE_TIME,
 )
-from hydro_rig.identification.fit import Fit
-from hydro_rig.identification.intervals import hull, within_bounds
+from hydro_rig.identification.fit import Fit, hull, within_bounds
 
 DIGITS = 6  # significant, of the numbers in the file
 

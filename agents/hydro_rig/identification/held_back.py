@@ -1,7 +1,5 @@
 """The held-back parts of recordings beside a simulation of the identified rig: errors of position, speed, pressures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -89,13 +87,8 @@ def simulate_held_back(
 ) -> HeldBack:
     """Simulate a plant on a held-back part; only the initial state comes from its readings, in the first 0.2 s.
 
-    It begins where the position is known, which may end at the end of its sensor's range.
-
-    Args:
-        part: of a recording.
-        config: the task.
-        plant: the identified plant.
-        known: found biases and gains of the sensors, latency and rise time, by name; others count here for nothing.
+    It begins where the position is known, which may end at the end of its sensor's range. ``known``: found biases and
+    gains of the sensors, latency and rise time, by name; others count here for nothing.
     """
     timing = {name: Prior(known[name], CERTAIN) for name in (LATENCY, RISE_TIME, *GAINS) if name in known}
     bias = np.array([known.get(name, 0.0) for name in BIASES])[:, None]

@@ -1,25 +1,30 @@
-"""The page of an identification."""
+"""The page of an identification, and the files beside it: rig and numbers."""
 
-from __future__ import annotations
-
+import json
 import math
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from pydantic_core import to_jsonable_python
 
 from hydro_agents.report.kit import BLUE, GREY, ORANGE, Page, drawn, signal, time_panels
+from hydro_agents.running.folders import output_folder
+from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised, listed, number
-from hydro_env import PlantParameters
+from hydro_env import ConfigurationError, PlantParameters, __version__
+from hydro_env.files import read_yaml, write_text
 from hydro_env.folders import page as page_address
-from hydro_env.task.sensors import POSITION
+from hydro_env.task.sensors import POSITION, SENSORS
 from hydro_env.units import UNITS
-from hydro_rig.identification.found_rig import share_in_words, shown
-from hydro_rig.identification.held_back import JUDGED_OVER, HeldBack, sizes_of
+from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE
+from hydro_rig.identification.found_rig import rig_yaml, share_in_words, shown
+from hydro_rig.identification.held_back import JUDGED_OVER, Forecast, HeldBack, sizes_of
 from hydro_rig.identification.identify import Identification
-from hydro_rig.recordings.findings import Finding
+from hydro_rig.recordings.findings import Finding, lines_of
 
 MANUAL = page_address("identify.md")
 CONTINUE = (
@@ -36,6 +41,8 @@ PANELS = (("position, mm", 1e3), ("pressure a, bar", 1e-5), ("pressure b, bar", 
 
 ERRORS = ("position, mm", "speed, mm/s", "pressure a, bar", "pressure b, bar")
 SHARES = ("share of position", "of pressure a", "of pressure b", "of spool")
+PAGE_FILE, RIG_FILE, RESULT_FILE = FILES = ("identification.html", "rig.yaml", "identification.json")
+JOB = "identify"
 
 
 @drawn
@@ -131,3 +138,68 @@ def place_of_part(found: Identification, part: HeldBack) -> str:
     """Recording and time of a held-back part."""
     name = f"{Path(found.recordings[part.recording].source).name}, " if len(found.recordings) > 1 else ""
     return f"{name}{part.begin:g} to {part.begin + float(part.time[-1]):.4g} s"
+
+
+def identify_to_folder(folder: Path, found: Identification, overwrite: bool, command: str) -> list[str]:
+    """Write page, numbers and, if the model describes the axis, the rig; returns the lines for the user.
+
+    Raises:
+        ConfigurationError: the folder cannot be written, or the model does not describe the axis; in this case page and
+            numbers are written, but no rig.
+    """
+    with output_folder(folder, JOB, FILES, overwrite=overwrite):
+        write_text(folder / RESULT_FILE, json.dumps(as_json(found, command), indent=1, allow_nan=False) + "\n")
+        identification_page(found).write(folder / PAGE_FILE, Origin.now(command))
+        if found.describes:
+            notes = [
+                f"Found by: {command}",
+                f"hydro_env {__version__}; {found.verdict()}.",
+                "Ranges: 95 % intervals; an undetermined parameter keeps its range.",
+            ]
+            text = rig_yaml(read_yaml(found.rig.source), found.fit, found.config, found.rig.randomisation, notes)
+            write_text(folder / RIG_FILE, text)
+    if not found.describes:
+        first, *others = (recording.source for recording in found.recordings)
+        more = f" and {len(others)} more" if others else ""
+        raise ConfigurationError(f"{first}{more}: {found.verdict()}; see {folder / PAGE_FILE}")
+    lines = [*lines_of(found.findings), *found.noted]
+    if found.undetermined:
+        lines.append(f"Not determined: {', '.join(one.name for one in found.undetermined)}")
+    return [*lines, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
+
+
+def as_json(found: Identification, command: str) -> Any:
+    """The result for programs; SI units, leaks in l/min at 100 bar; ``None`` if there is no number."""
+    fit, sources = found.fit, [recording.source for recording in found.recordings]
+
+    def sizes(test: Forecast) -> dict[str, float]:
+        found = {"speed_rms": test.speed_error}
+        for place, name in enumerate(SENSORS):
+            found |= {f"{name}_share_of_variance": test.share[place], f"{name}_rms": test.error[place]}
+        return found
+
+    unknowns = {}
+    for one in fit.unknowns:
+        unit = "l/min at 100 bar" if one.name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI"
+        unknowns[one.name] = one._asdict() | {"unit": unit, "determined": fit.knows(one)}
+    parts = []
+    for part in found.held_back:
+        out, back = part.speed_ratios
+        place = {"recording": sources[part.recording], "from_s": part.begin, "to_s": part.begin + float(part.time[-1])}
+        parts.append(place | sizes(part.whole) | {"speed_out": out, "speed_in": back})
+    whole = {
+        "command": command,
+        "hydro_env": __version__,
+        "recordings": sources,
+        "rig": found.rig.source,
+        "describes": found.describes,
+        "verdict": found.verdict(),
+        "held_back": {"why": found.parts.reason, "parts": parts, "together": sizes(found.whole)},
+        "over_2_s": None if found.ahead is None else sizes(found.ahead),
+        "windows": len(fit.misfit),
+        "windows_explained": int(fit.explained.sum()),
+        "unknowns": unknowns,
+        "findings": lines_of(found.findings),
+        "notes": found.noted,
+    }
+    return to_jsonable_python(whole, inf_nan_mode="null", fallback=lambda value: value.tolist())

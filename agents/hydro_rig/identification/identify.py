@@ -1,7 +1,5 @@
 """``hydro identify``: from a recording and a rig file to the identified rig."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,10 +32,7 @@ from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import on_grid
 
-LEAST_EXPLAINED = (
-    0.9  # smallest share of the position's variance on the held-back part of a model that describes the axis
-)
-
+LEAST_EXPLAINED = 0.9  # of the position's variance on the held-back part, by a model that describes the axis
 RATED_FLOW, KNEE_OPENING = "valve.rated_flow", "valve.knee_opening"
 BENDS_FROM = 3  # amplitudes of the command
 BEND = (0.7, 1.4)  # range of the opening at the knee, relative to that of a straight valve
@@ -189,13 +184,10 @@ def identify(
 ) -> Identification:
     """Read recordings of one axis, check them, fit the unknowns of the rig file, and test the fit on held-back parts.
 
-    Args:
-        paths: of the recordings; each may have its own sensors. All share the unknowns of the rig.
-        config: the task on this rig.
-        rig: the rig; its ranges define the unknown parameters.
-        maps: the signal of each column, one map for each recording; default: the names that ``hydro record`` writes.
-        hold_back: patterns of names of recordings that test the fit instead of being used for it; default: chosen by
-            motion and amplitude (:func:`~hydro_rig.recordings.parts.parts_of`).
+    Each recording may have its own sensors, and a map (as of :func:`~hydro_rig.recordings.recording.read_recording`);
+    all share the unknowns, which the ranges of the rig define. ``hold_back``: patterns of names of recordings that test
+    the fit instead of being used for it; default: chosen by motion and amplitude
+    (:func:`~hydro_rig.recordings.parts.parts_of`).
 
     Raises:
         ConfigurationError: a recording cannot be read, contradicts the rig, or carries no information.

@@ -1,7 +1,5 @@
 """Checks of each single channel: missing, constant, stuck, saturated, and impossible values; a set point as command."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
@@ -41,10 +39,7 @@ OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
 
 def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding], Mask]:
-    """Check each channel separately, in the order of MEASURED.
-
-    Returns the findings, and (5, T) which readings are invalid: stuck, lost, saturated, impossible.
-    """
+    """Findings about each single channel, and (5, T) which readings are invalid: stuck, lost, saturated, impossible."""
     findings: list[Finding] = []
     bad = np.zeros(samples.signals.shape, dtype=np.bool_)
 

@@ -1,7 +1,5 @@
 """Signal and unit of each column of a file: from the names that ``hydro record`` writes, or from a map file."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from fnmatch import fnmatch

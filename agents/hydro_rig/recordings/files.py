@@ -4,8 +4,6 @@ A struct of a MAT file that holds a time has its own time stamps, and so has a t
 kept. :func:`together` brings the chosen channels to the stamps of the command, and reports it as a finding.
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 from collections.abc import Iterator, Mapping
@@ -19,17 +17,14 @@ import scipy.io
 
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
-from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.stamps import time_stamps, with_whole_stamps
 from hydro_rig.recordings.text_tables import text_table
 
 LARGEST_RECORDING = 1_000_000_000  # largest size in bytes; about twenty hours at 200 rows per second as CSV
 
-LONGEST_STEP = 2.0
-"""Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
-
+LONGEST_STEP = 2.0  # between a channel's own stamps for interpolation, as a multiple of their usual distance
 AS_FAST = 1.5  # longest usual distance of a channel's stamps for interpolation, as a multiple of that of the command
-
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
 CONVERSIONS = {
     ".mf4": "asammdf.MDF('run.mf4').to_dataframe(raster='NAME OF THE COMMAND')",
@@ -116,15 +111,11 @@ def library_errors(path: Path) -> Iterator[None]:
 
 
 def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], list[Finding]]:
-    """The chosen columns by signal, all with the same rows.
+    """The chosen columns by signal, all with the same rows; ``places``: their index, ``time`` and ``command`` included.
 
     Columns with their own time stamps that are as dense as those of the command are interpolated linearly at these,
     never extrapolated, and are missing (NaN) in their gaps. A reading of a slower one stands in the row of the nearest
     stamp; between two of them nothing is known. A finding names each such signal.
-
-    Args:
-        columns: of the file.
-        places: index of each chosen column by signal, ``time`` and ``command`` among them.
     """
     base = columns.stamps[places["command"]]
     cells = {signal: columns.cells[place] for signal, place in places.items()}
@@ -146,7 +137,7 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
         else:
             cells[signal] = pd.Series(interpolated(base, own, values))
             what += "it is interpolated at those of the command"
-        findings.append(Finding(signal, what, Weight.NOTE))
+        findings.append(Finding(signal, what))
     return cells, findings
 
 
@@ -160,9 +151,9 @@ def numbers_of(cells: pd.Series) -> Floats:
 
 
 def interpolated(time: Floats, own: Floats, values: Floats, longest: float = 0.0) -> Floats:
-    """Values at ``time`` between the samples (own, values); NaN before, after, and in gaps.
+    """Values at ``time`` between the samples (own, values); NaN before, after, and in gaps longer than ``longest``.
 
-    A gap is longer than ``longest``; default: LONGEST_STEP usual steps.
+    Default: LONGEST_STEP usual steps.
     """
     order = np.argsort(own, kind="stable")
     own, values = own[order], values[order]
@@ -234,12 +225,8 @@ def _of_channels(channels: list[_Channel], time_heading: str) -> Columns:
     longest = max((stamps for _, _, stamps in channels if stamps is not None), key=len, default=None)
     if longest is not None:
         channels.insert(0, (time_heading, longest, None))
-    return Columns(
-        [heading for heading, _, _ in channels],
-        [pd.Series(values) for _, values, _ in channels],
-        [stamps for _, _, stamps in channels],
-        0,
-    )
+    headings, values, stamps = zip(*channels, strict=True) if channels else ((), (), ())
+    return Columns(list(headings), list(map(pd.Series, values)), list(stamps), 0)
 
 
 def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str = "") -> Iterator[_Channel]:

@@ -1,7 +1,5 @@
 """Findings about a recording: one line each, with its first time in seconds and its share of the recording."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from enum import StrEnum
 from typing import NamedTuple
@@ -29,7 +27,7 @@ class Finding(NamedTuple):
 
     signal: str  # or "time"
     what: str  # rest of the sentence, beginning with a verb
-    weight: Weight
+    weight: Weight = Weight.NOTE
     begin: float = np.nan  # s, first place; NaN for the whole recording
     end: float = np.nan  # s, end of the first place
     share: float = np.nan  # of the recording, 0 to 1
@@ -62,11 +60,11 @@ def missing_weight(signal: str, share: float) -> Weight:
 
 
 def severe_if(condition: object) -> Weight:
-    """SEVERE if the condition is true, otherwise NOTE."""
+    """The weight of what counts under a condition alone."""
     return Weight.SEVERE if condition else Weight.NOTE
 
 
-def finding_of(mask: Mask, time: Floats, signal: str, what: str, weight: Weight) -> Finding:
+def finding_of(mask: Mask, time: Floats, signal: str, what: str, weight: Weight = Weight.NOTE) -> Finding:
     """A finding about the rows where ``mask`` (n,) is true (at least one); ``time`` (n,), s."""
     begins, ends = runs_of(mask)
     return Finding(signal, what, weight, float(time[begins[0]]), float(time[ends[0] - 1]), float(mask.mean()))

@@ -1,7 +1,5 @@
 """The parts of one or more recordings: windows for the fit, and the parts that are held back, which test it."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
@@ -15,23 +13,17 @@ from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.recording import FULL_COMMAND
 from hydro_rig.recordings.sampling import Sampled, bridged, cut
 
-WINDOW, FEWEST_WINDOWS = 2.0, 5  # s
-"""Length of a window, and number of windows; recordings that are too short for five windows have shorter ones."""
-
+WINDOW, FEWEST_WINDOWS = 2.0, 5  # s, number; recordings that are too short for five windows have shorter ones
 SHORTEST_WINDOW = 0.4  # s; shorter windows give too little information, because their start is unknown
 HELD_BACK_SHARE = 0.3  # of a single recording
 MOST_TRAVEL = 0.5  # largest share of the travel in the part that is held back
-MOST_WINDOWS = 12
-"""More windows would take longer and add little: of a longer recording, each twelfth gives its liveliest."""
-
+MOST_WINDOWS = 12  # more take longer and add little: of a longer recording, each twelfth gives its liveliest
 FAST = 0.5  # of the longest travel in a window: a move to a stop beyond the sensor's range, which is over soon
 FEWEST_OF_EACH = 3  # windows of each recording, if there are many: one out, one back, and one that ends at rest
 LONGEST_HELD_BACK = 10.0  # s, of one recording
 LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
 SAME_AMPLITUDE = 1.1  # largest ratio of the largest commands of recordings with the same amplitude
-
-MOST_AT_FULL_COMMAND = 0.9
-"""Largest share of the time at full command; a recording with more gives no information about the valve."""
+MOST_AT_FULL_COMMAND = 0.9  # share of the time; a recording with more gives no information about the valve
 
 
 class Stretch(NamedTuple):
@@ -64,7 +56,7 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     Args:
         recordings: their samples.
         sources: their names, for messages.
-        whole: numbers of the recordings that are held back.
+        whole: numbers of the recordings that the caller names.
 
     Raises:
         ConfigurationError: a position is missing, a command is saturated, or too few samples are without a gap.
@@ -102,13 +94,13 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     if not used:
         raise ConfigurationError(f"{together}: nothing is left for the fit; hold back fewer recordings")
     most = max(MOST_WINDOWS // len(used), FEWEST_OF_EACH)
-    fitted = {}
-    for number, windows in used.items():
+    fitted = []
+    for windows in used.values():
         section = float(windows.end[-1]) / most if len(used) == 1 and len(windows) > most else 0.0
-        fitted[number] = windows.part(liveliest(windows, most, section))
+        fitted.append(windows.part(liveliest(windows, most, section)))
     return Parts(
-        fitted=Windows.joined(list(fitted.values())),
-        recording=np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),
+        fitted=Windows.joined(fitted),
+        recording=np.repeat(list(used), list(map(len, fitted))),
         amplitudes=len(_by_amplitude(used)),
         held_back=held_back,
         reason=reason,

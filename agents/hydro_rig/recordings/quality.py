@@ -8,8 +8,6 @@ Two balances, valid for every rig of this kind, reveal a wrong sign, exchanged c
   or a reversed position do not satisfy it.
 """
 
-from __future__ import annotations
-
 from itertools import combinations
 from typing import NamedTuple
 
@@ -26,20 +24,15 @@ from hydro_env.task.paces import periods_late
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.estimation.first_guess import two_pressures
+from hydro_rig.estimation.estimate import two_pressures
 from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_set_point
 from hydro_rig.recordings.files import interpolated
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, on_grid, sampled
 
-INTERVAL = 0.02
-"""s, approximate averaging time; it makes the noise of the position sensor small compared with the motion."""
-
-MOST_SAMPLES = 4000
-"""Largest number of samples; more add no information. From a longer recording, the part with the most travel is
-used."""
-
+INTERVAL = 0.02  # s, about, over which readings are averaged: the noise of the position gets small beside the motion
+MOST_SAMPLES = 4000  # more add no information: of a longer recording, the part with the most travel is used
 FEWEST_SAMPLES = 100
 LONGEST_BLANK = 0.1  # s between two readings of a slow sensor
 LEAST_TRAVEL = 20.0  # smallest useful travel, in standard deviations of the position's noise
@@ -82,7 +75,7 @@ class Checked(NamedTuple):
 def check_recording(recording: Recording, config: TaskConfig, own_grid: bool = False) -> Checked:
     """Check time stamps, channels and wiring of a recording for the rig of a task.
 
-    Each check relies on the previous ones, and is left out after a severe finding. ``own_grid`` is that of
+    Each check relies on the previous ones, and is left out after a severe finding. ``own_grid``: as of
     :func:`~hydro_rig.recordings.sampling.sampled`.
     """
     differential = config.sensors.differential_pressure
@@ -112,7 +105,7 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool = F
             samples = _with_command_moved(samples, early)
             word = "early" if early > 0 else "late"
             what = f"is one row too {word} for the spool: moved; 'rows_early: {early}' in the map says the same"
-            findings.append(Finding("command", what, Weight.NOTE))
+            findings.append(Finding("command", what))
         findings += check_wiring(samples, config)
     return Checked(samples, findings)
 
@@ -128,7 +121,7 @@ def _within_full_scale(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     what = f"is up to {100.0 * most:.4g} % of full scale ({FULL_VOLTAGE * most:.4g} V): taken as full scale"
     findings = []
     if most >= 1.0 + ROUNDING:
-        findings.append(finding_of(beyond, samples.time, "command", what, Weight.NOTE))
+        findings.append(finding_of(beyond, samples.time, "command", what))
     return samples._replace(signals=signals), findings
 
 
@@ -214,29 +207,23 @@ def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
 def _without_gaps(samples: Sampled, config: TaskConfig) -> Sampled:
     """The samples with all signals, and with readings between those of a slow sensor, for checks of slow motion.
 
-    With a flow, a pump moves the axis, and the command may be none of a valve: absent signals stay absent.
+    An absent spool follows its command, and absent pressures are half the supply's. With a flow, a pump moves the axis,
+    and the command may be none of a valve: absent signals stay absent.
     """
     signals = samples.signals.copy()
     for values in signals[:COMMAND]:
         known = np.isfinite(values)
         if known.any() and not known.all():
             values[:] = interpolated(samples.time, samples.time[known], values[known], LONGEST_BLANK)
-    if "flow" not in samples.auxiliary:
-        signals = _completed(signals, config)
-    return samples._replace(signals=signals)
-
-
-def _completed(signals: Floats, config: TaskConfig) -> Floats:
-    """Signals (5, T) with a spool that follows its command, and pressures of half the supply, if they are absent."""
-    whole, supply = signals.copy(), config.plant.supply
+    if "flow" in samples.auxiliary:
+        return samples._replace(signals=signals)
     if config.sensors.differential_pressure:
-        whole = two_pressures(signals[None], config)[0]
-    for row in (PRESSURE_A, PRESSURE_B):
-        if not np.isfinite(whole[row]).any():
-            whole[row] = 0.5 * supply.pressure
-    if not np.isfinite(whole[SPOOL]).any():
-        whole[SPOOL] = whole[COMMAND]
-    return whole
+        signals = two_pressures(signals[None], config)[0]
+    half_supply = 0.5 * config.plant.supply.pressure
+    for row, usual in ((PRESSURE_A, half_supply), (PRESSURE_B, half_supply), (SPOOL, signals[COMMAND])):
+        if not np.isfinite(signals[row]).any():
+            signals[row] = usual
+    return samples._replace(signals=signals)
 
 
 def balance(signals: Floats, config: TaskConfig) -> TwoBalances:
@@ -311,7 +298,7 @@ def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
         return []
     _, slope, rest = _spool_after_commands(signals, config)
     if rest > 0.5:
-        return [Finding("spool_position", "does not follow the command", Weight.NOTE)]
+        return [Finding("spool_position", "does not follow the command")]
     if slope < 0.0:
         return [Finding("spool_position", "moves against the command: reverse the sign of one of them", Weight.SEVERE)]
     if not _plausible(slope):
@@ -329,9 +316,8 @@ def _commanded(signals: Floats, config: TaskConfig) -> bool:
 def _spool_after_commands(signals: Floats, config: TaskConfig) -> tuple[Floats, float, float]:
     """Weights of the command one row later, in this row, one and two rows before and of 1 in the spool's readings.
 
-    Rows count from that of the command that acts by the data sheet.
-
-    Returns also the slope of spool against command, and the unexplained share of the standard deviation.
+    Rows count from that of the command that acts by the data sheet. Then the slope of spool against command, and the
+    unexplained share of the standard deviation.
     """
     late = periods_late(config.command_latency, config.control_period)
     spool, command = signals[SPOOL][late:], signals[COMMAND][: signals.shape[1] - late]
@@ -348,12 +334,9 @@ def _response_at_next_sample(config: TaskConfig) -> float:
     if period <= 0.0:
         return 0.0
     small = 0.1
-    run = simulate(config.plant, [small], period)
-    start = run.spool_position[0]
-    goal = small / FULL_VOLTAGE - start
-    if abs(goal) <= 1e-9:
-        return 0.0
-    return float((run.spool_position[-1] - start) / goal)
+    spool = simulate(config.plant, [small], period).spool_position
+    goal = small / FULL_VOLTAGE - spool[0]
+    return float((spool[-1] - spool[0]) / goal) if abs(goal) > 1e-9 else 0.0
 
 
 def _means(values: Floats, step: int) -> Floats:

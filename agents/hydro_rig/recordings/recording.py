@@ -1,10 +1,8 @@
 """Reads a recording of a rig: a file with time stamps and one column per measured signal."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import pandas as pd
@@ -14,9 +12,8 @@ from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, numbers_of, read_columns, together
-from hydro_rig.recordings.findings import Finding, Weight, missing_weight, severe_if
-from hydro_rig.recordings.row_distance import equidistant
-from hydro_rig.recordings.stamps import EXCEL_BEGIN, time_stamps
+from hydro_rig.recordings.findings import Finding, missing_weight, severe_if
+from hydro_rig.recordings.stamps import EXCEL_BEGIN, equidistant, time_stamps
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
 FEWEST_ROWS = 3
@@ -35,7 +32,7 @@ class Recording(NamedTuple):
     begin: float = 0.0  # s, stamp of the first row in the file; of dates and times since 1970
     differential: bool = False  # pressure a is pressure a minus b
 
-    def part(self, first: int, end: int) -> Recording:
+    def part(self, first: int, end: int) -> Self:
         """A copy of the rows from ``first`` to before ``end``."""
         shift = float(self.time[first]) if first < end else 0.0
         return self._replace(
@@ -47,15 +44,11 @@ class Recording(NamedTuple):
 
 
 def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
-    """Read a recording.
+    """Read a recording; ``columns``: the signal of each column; default: the names that ``hydro record`` writes.
 
-    CSV: the headings stand above the numbers, with units in them or in the line below; what stands before is skipped.
-    Semicolons, tabs, commas or spaces separate the columns. The end of the name identifies packed, Parquet and MAT
-    files (:mod:`hydro_rig.recordings.files`).
-
-    Args:
-        path: the file; text in UTF-8, UTF-16 or Windows-1252.
-        columns: the signal of each column; default: the names that ``hydro record`` writes.
+    CSV in UTF-8, UTF-16 or Windows-1252: the headings stand above the numbers, with units in them or in the line below;
+    what stands before is skipped. Semicolons, tabs, commas or spaces separate the columns. The end of the name
+    identifies packed, Parquet and MAT files (:mod:`hydro_rig.recordings.files`).
 
     Raises:
         ConfigurationError: the file is unreadable, too large or not a table, or a column or its unit is missing.
@@ -81,7 +74,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
         values["pressure_a"], units["pressure_a"] = values.pop(LOAD_PRESSURE), units.pop(LOAD_PRESSURE)
     for signal in MEASURED:
         if signal not in values:
-            findings.append(Finding(signal, "was not recorded", Weight.NOTE))
+            findings.append(Finding(signal, "was not recorded"))
     known = np.isfinite(stamps)
     if not known.all():
         share = float(1.0 - known.mean())
@@ -116,7 +109,7 @@ def _values_of(
             values[signal] = dates
             if "/" in str(own.iloc[0]):
                 what = f"has dates with slashes; the first is read as {pd.Timestamp(begin, unit='s'):%d %B %Y}"
-                findings.append(Finding(signal, what, Weight.NOTE))
+                findings.append(Finding(signal, what))
             continue
         numbers = _numbers(own, signal, file.first_line, findings)
         units[signal], size = unit_of(column, signal, heading, source)
@@ -145,7 +138,7 @@ def _time_of(time: Floats, given: bool | float, source: str, findings: list[Find
             "'equidistant: 5 ms'"
         )
     what = f"is taken as equidistant, one row every {1e3 * distance:.4g} ms, as the map says"
-    findings.append(Finding("time", what, Weight.NOTE))
+    findings.append(Finding("time", what))
     return np.asarray((time[known][0] if known.any() else 0.0) + distance * np.arange(len(time)), np.float64)
 
 

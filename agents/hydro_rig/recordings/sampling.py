@@ -4,8 +4,6 @@ A log whose rows do not fit the control period, or whose commands keep no fixed 
 loop, is taken on its own grid instead: its rows, or of a fast log about one sample per millisecond.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -18,13 +16,7 @@ from hydro_env.task.sensors import COMMAND
 from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.recording import Recording
-from hydro_rig.recordings.row_distance import (
-    SHORTEST_DISTANCE,
-    SLOWEST,
-    other_sampling,
-    row_distance,
-    whole_fraction,
-)
+from hydro_rig.recordings.stamps import SHORTEST_DISTANCE, SLOWEST, other_sampling, row_distance, whole_fraction
 
 JITTER = (0.05, 0.4)
 """Jitter of time stamps, as a fraction of the row distance: limit for a note, and limit beyond which stamps do not tell
@@ -36,13 +28,10 @@ TOGETHER, APART = 100, 0.5
 """Rows are equidistant if the median of the stamps of so many of them leaves a steady clock by less than this share of
 the row distance."""
 
-
 MOST_LOST_ROWS = 0.2  # largest share of rows that may be missing in gaps, or duplicate
 PAUSE = 1.0  # s; a longer gap is a pause of the recording, which leaves the rows before and after it
 
-FOLLOWING = 0.1
-"""Share of a stamp's deviation by which the clock is corrected: a slightly wrong clock then loses no row."""
-
+FOLLOWING = 0.1  # share of a stamp's deviation by which the clock is corrected: a slightly wrong one loses no row
 LONGEST_FILL = 3  # largest number of successive missing commands that are filled in
 HOLD_SHARE = 0.8  # smallest share of command changes at the same row within the control period
 OWN_PERIOD = 1e-3  # s, approximate distance of the samples on a log's own grid; from a faster log, medians of its rows
@@ -72,12 +61,8 @@ def sampled(recording: Recording, config: TaskConfig, own_grid: bool = False) ->
     """The samples of a recording, one per control period of the task, or on the log's own grid (:func:`on_grid`).
 
     From n rows per control period, the last row before the command changes is the sample; the command of the previous
-    period still acts there. After a severe finding the samples are empty.
-
-    Args:
-        recording: the rows.
-        config: the task; it gives the control period.
-        own_grid: whether to take the own grid of a log that fits the control period, too.
+    period still acts there. After a severe finding the samples are empty. ``own_grid``: also of a log that fits the
+    control period.
     """
     findings: list[Finding] = []
     place, time, values, period, own_clock = _grid_of(recording, config, own_grid, findings)
@@ -103,7 +88,7 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
     place, jitter = _places(time, distance)
     if jitter > JITTER[0] * distance:
         usual = f"{1e3 * jitter:.2g} ms (95 %) around one row every {1e3 * distance:.4g} ms"
-        findings.append(Finding("time", f"has stamps that jitter by up to {usual}", Weight.NOTE))
+        findings.append(Finding("time", f"has stamps that jitter by up to {usual}"))
     if jitter > JITTER[1] * distance:
         time, kept = _steady(time, distance, findings)
         rows = rows[:, kept]
@@ -159,7 +144,7 @@ def _steady(time: Floats, distance: float, findings: list[Finding]) -> tuple[Flo
         equal &= np.ptp(late) < APART * distance
     what = findings.pop().what
     if equal:
-        findings.append(Finding("time", f"{what}; taken as equidistant rows", Weight.NOTE))
+        findings.append(Finding("time", f"{what}; taken as equidistant rows"))
     else:
         what += ", and the rows are not equidistant: nobody knows when the commands acted"
         findings.append(Finding("time", what, Weight.SEVERE))
@@ -185,9 +170,8 @@ def _own_grid(time: Floats, values: Floats, place: Indices, distance: float, fin
         samples.iloc[0, COMMAND] = values[COMMAND, 0]  # what acted before the first row
     what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for command and readings in the control "
     what += "period; taken on its own grid"
-    if rows > 1:
-        what += f", each sample the median of {rows} rows"
-    findings.append(Finding("time", what, Weight.NOTE))
+    what += f", each sample the median of {rows} rows" if rows > 1 else ""
+    findings.append(Finding("time", what))
     number = number - number[0]
     return number, time[0] + number * period, samples.to_numpy().T.copy(), period, True
 
@@ -223,7 +207,7 @@ def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     what = f"lacks samples; up to {LONGEST_FILL} in a row are filled in from those around them"
     auxiliary = {name: _spread(values, at, len(place)) for name, values in samples.auxiliary.items()}
     samples = samples._replace(place=place, time=time, signals=signals, auxiliary=auxiliary)
-    return samples, [finding_of(filled, time, "command", what, Weight.NOTE)]
+    return samples, [finding_of(filled, time, "command", what)]
 
 
 def _spread(values: Floats, at: Indices, count: int) -> Floats:

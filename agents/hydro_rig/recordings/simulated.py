@@ -1,7 +1,5 @@
 """``hydro record``: a recording of a simulated axis with the signals of a rig."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -51,17 +49,10 @@ def record_axis(
 ) -> Recorded:
     """Run one episode and write its measured signals as CSV, one row per control period.
 
-    The command of a row acts when the row is measured.
-
-    Args:
-        path: the file; replaced if it exists.
-        config: the task; its ``episode_duration`` is that of the recording.
-        controller: moves the axis.
-        seed: of plant, reference and noise.
-        leakage_flow_lpm: l/min at 100 bar; ``None``: drawn, as the ``family`` of the reference.
-        family: of the reference.
-        faults: magnitude by name (:data:`hydro_env.task.faults.FAULTS`).
-        note: for a comment in the first line.
+    The command of a row acts when the row is measured. ``episode_duration`` of the task is that of the recording, the
+    seed that of plant, reference and noise. The leak, l/min at 100 bar, and the ``family`` of the reference are drawn
+    if they are ``None``; ``faults``: magnitude by name (:data:`hydro_env.task.faults.FAULTS`). An old file is replaced;
+    its first line is the ``note``.
 
     Raises:
         ConfigurationError: an option is impossible, or the file cannot be written.

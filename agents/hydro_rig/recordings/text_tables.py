@@ -1,7 +1,5 @@
 """Tables in text files: where headings and numbers stand, and the rows."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import io
@@ -158,12 +156,12 @@ def _line_above_numbers(rows: Sequence[list[str]], usual: int, lines: Sequence[i
 def _beginning(file: io.BufferedIOBase) -> tuple[str, str]:
     """Encoding of a file, and the whole lines of its beginning."""
     content = file.read(BEGINNING)
-    encoding = encoding_of(content)
+    encoding, whole = encoding_of(content), len(content) < BEGINNING
     try:
-        text = codecs.getincrementaldecoder(encoding)().decode(content, final=len(content) < BEGINNING)
+        text = codecs.getincrementaldecoder(encoding)().decode(content, final=whole)
     except UnicodeDecodeError:
         encoding, text = OTHER_ENCODING, content.decode(OTHER_ENCODING, "replace")
-    return encoding, text[: text.rfind("\n") + 1] if len(content) == BEGINNING else text
+    return encoding, text if whole else text[: text.rfind("\n") + 1]
 
 
 def _is_comment(line: str) -> bool:

@@ -3,11 +3,9 @@
 ``hydro trend`` and ``hydro watch`` read the same file; ``hydro new-rig --table`` writes one beside its rigs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from pydantic import Field
 
@@ -49,7 +47,7 @@ class Axis(NamedTuple):
     limit: float  # l/min at 100 bar and 40 °C
 
     @classmethod
-    def of(cls, settings: AxisSettings, folder: Path = Path()) -> Axis:
+    def of(cls, settings: AxisSettings, folder: Path = Path()) -> Self:
         """From its settings.
 
         Raises:
@@ -70,7 +68,7 @@ class Fleet(NamedTuple):
     source: str = ""  # the file that names them; empty: every axis is the usual one
 
     @classmethod
-    def load(cls, path: Path) -> Fleet:
+    def load(cls, path: Path) -> Self:
         """From a file.
 
         Raises:
@@ -88,7 +86,7 @@ class Fleet(NamedTuple):
         return cls(next(iter(axes.values())), axes, str(path))
 
     @classmethod
-    def of(cls, file: Path | None, settings: Mapping[str, Any]) -> Fleet:
+    def of(cls, file: Path | None, settings: Mapping[str, Any]) -> Self:
         """From a file, or without one from the settings of all axes.
 
         Raises:

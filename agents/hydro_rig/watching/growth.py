@@ -8,15 +8,13 @@ line with independent errors, without this average, gives intervals that are too
 share, as of a thermometer, moves the level, and widens what is said about it.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hydro_agents.running.statistics import Interval
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Mask
 
 QUANTILES = (0.5, 0.05, 0.95)  # of the intervals
 EARLIEST = 0.01  # probability that the limit is reached before "not before"
@@ -48,12 +46,7 @@ NO_GROWTH = Growth(UNKNOWN, UNKNOWN, np.nan, np.nan, UNKNOWN)
 
 
 def growth(
-    time: ArrayLike,
-    size: ArrayLike,
-    limit: float,
-    deviation: ArrayLike,
-    common: float = 0.0,
-    now: float | None = None,
+    time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike, common: float = 0.0, now: float | None = None
 ) -> Growth:
     """Growth of the leak of one axis.
 
@@ -89,7 +82,7 @@ def growth(
     )
 
 
-def _usual(x: Floats, y: Floats, error: Floats) -> NDArray[np.bool_]:
+def _usual(x: Floats, y: Floats, error: Floats) -> Mask:
     """Readings that are not far from the line through their neighbours (Theil and Sen: medians of slope and level)."""
     everyone = np.ones(len(x), dtype=np.bool_)
     if len(x) <= NEIGHBOURS:

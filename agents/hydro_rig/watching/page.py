@@ -1,7 +1,5 @@
 """The page of all axes: a line for each, the most urgent first, and below it the sizes over weeks."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 
@@ -12,13 +10,13 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from hydro_agents.report.kit import BLUE, GOLD, GREEN, GREY, INK, ORANGE, Page, drawn, panel, sparkline
 from hydro_agents.running.text import number
 from hydro_env.types import Floats
+from hydro_rig.diagnosis.diagnosis_page import HIGHEST, LOWEST, scale_of_leaks
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.watching.trend import DAY, AxisTrend, Condition
 
 COLOURS = {Kind.HEALTHY: GREEN, Kind.LEAK: ORANGE, Kind.OTHER: GOLD, Kind.UNKNOWN: GREY}
 STYLES = {Condition.GOOD: "good", Condition.OUT: "worse", Condition.FAILURE: "worse", Condition.MAINTENANCE: "worse"}
 MOST_PANELS = 20  # axes with a figure; the others have a line
-LOWEST, HIGHEST = 1e-3, 20.0  # l/min; ends of the scale
 SPARKS = 60  # readings in the small line of an axis
 
 
@@ -86,9 +84,8 @@ def draw_axis(axes: Axes, one: AxisTrend) -> None:
     if one.dated:
         ends = one.now / DAY + np.array([0.0, one.growth.ahead.value])
         axes.plot(ends, [one.growth.level.value, one.limit], color=BLUE, marker="")
-    axes.set(yscale="log", ylabel="leak, l/min", ylim=(LOWEST, HIGHEST))
-    axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
-    axes.set_yticks([], minor=True)
+    axes.set_ylabel("leak, l/min")
+    scale_of_leaks(axes)
     locator = AutoDateLocator(minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]

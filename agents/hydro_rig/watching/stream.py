@@ -4,8 +4,6 @@ A look takes the newest seconds of an axis, checks the wiring as ``hydro diagnos
 the leakage head, with the estimator at rest or in doubt, and adds the reading to the shipped alarm.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections import deque
@@ -19,7 +17,7 @@ import pandas as pd
 
 from hydro_agents.detection.activity import activity_of
 from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm
-from hydro_agents.detection.detector import Cause, Reading, Windows
+from hydro_agents.detection.detector import AUXILIARY, Cause, Reading, Windows
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.running.text import number
@@ -29,7 +27,7 @@ from hydro_env.files import read_json, write_text
 from hydro_env.folders import config_folder
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
 from hydro_rig.diagnosis.oil import referred, temperature_of
-from hydro_rig.diagnosis.verdict import Kind, Leak
+from hydro_rig.diagnosis.verdict import NO_LEAK, Kind, Leak
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.recordings.columns import MEASURED
@@ -38,9 +36,9 @@ from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, bridged, cut, on_grid, sampled
 from hydro_rig.watching.fleet import Axis, Fleet
-from hydro_rig.watching.rows import SIGNALS, TAG, Row, RowError, RowReader, in_protocol
+from hydro_rig.watching.rows import TAG, Row, RowError, RowReader, in_protocol
 from hydro_rig.watching.table import File, read_table, with_row, write_table
-from hydro_rig.watching.trend import Condition
+from hydro_rig.watching.trend import Condition, finite
 
 KEPT = 10.0  # s of rows per axis, on which the wiring is checked
 WINDOW = 2.0  # s
@@ -68,9 +66,7 @@ class Look(NamedTuple):
 
     def fields(self) -> dict[str, Any]:
         """For another program; ``None``: unknown."""
-        sizes: dict[str, float | None] = {}
-        for name, size in self.leak._asdict().items():
-            sizes[name] = float(f"{size:.4g}") if np.isfinite(size) else None
+        sizes = {name: finite(size, 4) for name, size in self.leak._asdict().items()}
         return {"state": self.condition.value, "since": self.since, "cause": self.cause, **sizes}
 
     def line(self, protocol: bool) -> str:
@@ -80,16 +76,8 @@ class Look(NamedTuple):
         return json.dumps({"axis": self.axis, "time": self.time, **self.fields()}, ensure_ascii=False)
 
 
-NOTHING = Leak(np.nan, np.nan, np.nan)
-
-
 class AxisWatch:
-    """One axis: its newest rows, its detector and its alarm.
-
-    Args:
-        name: of the axis.
-        axis: its task, its oil, and the leak beyond which it is out of specification.
-    """
+    """One axis: its newest rows, its detector and its alarm."""
 
     def __init__(self, name: str, axis: Axis) -> None:
         self.name, self.axis, self.task = name, axis, axis.task
@@ -163,10 +151,8 @@ class AxisWatch:
             self._sure = now
         condition, cause = self._summed_up(reading, leak, activity_of(windows.signals, samples.period))
         if condition is Condition.GOOD and now - self._sure > UNSURE:
-            condition, cause = (
-                Condition.CHECK,
-                f"cannot tell: {reading.remarks[0] or 'the interval of the leak is wide'}",
-            )
+            why = reading.remarks[0] or "the interval of the leak is wide"
+            condition, cause = Condition.CHECK, f"cannot tell: {why}"
         if self._found:
             condition, cause = Condition.FAILURE, self._found[0].line()
         return self._told(now, condition, cause, leak, temperature)
@@ -175,12 +161,8 @@ class AxisWatch:
         """The kept rows."""
         stamps = np.array([time for time, _ in self._rows])
         values = np.array([row for _, row in self._rows]).T
-        known = np.isfinite(values).any(axis=1)
-        more = slice(len(MEASURED), None)
-        auxiliary = {
-            name: row for name, row, told in zip(SIGNALS[more], values[more], known[more], strict=True) if told
-        }
-        signals = values[: len(MEASURED)]
+        signals, others = np.split(values, [len(MEASURED)])
+        auxiliary = {name: row for name, row in zip(AUXILIARY, others, strict=True) if np.isfinite(row).any()}
         return Recording(self.name, stamps - stamps[0], signals, {}, [], auxiliary, float(stamps[0]))
 
     @staticmethod
@@ -209,7 +191,7 @@ class AxisWatch:
         return Condition.GOOD, ""
 
     def _told(
-        self, now: float, condition: Condition, cause: str, leak: Leak = NOTHING, temperature: float = np.nan
+        self, now: float, condition: Condition, cause: str, leak: Leak = NO_LEAK, temperature: float = np.nan
     ) -> Look:
         if condition is not self.condition:
             self.condition, self.since = condition, now
@@ -239,17 +221,12 @@ class AxisWatch:
 
 def _leak_of(reading: Reading) -> Leak:
     if not reading.sized[0]:
-        return NOTHING
+        return NO_LEAK
     return Leak(float(reading.flow_lpm[0]), float(reading.low_lpm[0]), float(reading.high_lpm[0]))
 
 
 class FleetWatch:
-    """All axes, the table of their readings, and the file that a restart reads.
-
-    Args:
-        fleet: what is known about the axes.
-        table_file: as that of ``hydro trend``; the memory of the alarms lies beside it.
-    """
+    """All axes, the table of their readings as that of ``hydro trend``, and beside it the file that a restart reads."""
 
     def __init__(self, fleet: Fleet, table_file: Path) -> None:
         self._fleet = fleet

@@ -4,8 +4,6 @@ It is written as a whole, so that an interruption leaves no half of it. It may b
 column ``repaired`` says that the seal was new from that row on, and further columns stay.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence

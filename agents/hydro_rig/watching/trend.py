@@ -1,7 +1,5 @@
 """What the table of ``hydro trend`` says about an axis: its states, its growth, and the line for the planner."""
 
-from __future__ import annotations
-
 from collections import Counter
 from enum import StrEnum
 from typing import Any, NamedTuple
@@ -110,13 +108,13 @@ class AxisTrend(NamedTuple):
             "states": [state.value for state in self.states],
             "exit_code": CODES[self.states[0]],
             "reason": self.reason,
-            "leak_40": {name: _finite(value) for name, value in self.leak._asdict().items()},
+            "leak_40": {name: finite(value) for name, value in self.leak._asdict().items()},
             "limit": self.limit,
             "limit_reached": dates,
-            "decades_per_day": {name: _finite(value) for name, value in self.growth.rate._asdict().items()},
+            "decades_per_day": {name: finite(value) for name, value in self.growth.rate._asdict().items()},
             "readings": len(self.rows),
             "last": None if np.isnan(self.last) else stamp(self.last),
-            "age_days": _finite((self.now - self.last) / DAY),
+            "age_days": finite((self.now - self.last) / DAY),
         }
 
     def line(self) -> str:
@@ -137,14 +135,9 @@ class AxisTrend(NamedTuple):
 
 
 def trend_of(name: str, rows: pd.DataFrame, axis: Axis, error: str, now: float | None = None) -> AxisTrend:
-    """The trend of one axis.
+    """The trend of one axis, from its rows of the table and the ``error`` of its newest file (empty: that was read).
 
-    Args:
-        name: of the axis.
-        rows: of the table.
-        axis: its oil and its limit.
-        error: of its newest file; empty: that was read.
-        now: s since 1970; default: the end of the last reading.
+    ``now``: s since 1970; default: the end of the last reading.
     """
     copies = rows.duplicated(["time", "until", "verdict", "size_40"], keep="last")  # of a file under another name
     rows = rows[~copies]
@@ -203,5 +196,6 @@ def _reasons(rows: pd.DataFrame, limit: float, latest: Interval, found: Growth) 
     return {state: "".join(rows["reason"][rows["verdict"] == state][-1:])}
 
 
-def _finite(value: float) -> float | None:
-    return float(f"{value:.6g}") if np.isfinite(value) else None
+def finite(value: float, digits: int = 6) -> float | None:
+    """A number with so many digits; ``None`` if it is none, as JSON has no other."""
+    return float(f"{value:.{digits}g}") if np.isfinite(value) else None

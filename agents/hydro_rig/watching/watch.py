@@ -1,22 +1,79 @@
 """The whole job of ``hydro trend``: reads the files that are new, writes table and page, and says what they tell."""
 
-from __future__ import annotations
-
+import re
 from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from time import monotonic, time
 from typing import Any, NamedTuple
 
 from joblib import Parallel, delayed
 
-from hydro_env import ConfigurationError
-from hydro_rig.estimation.progress import tell
+from hydro_agents.detection.detector import Windows
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_rig.diagnosis.diagnose import diagnosed, read_windows
+from hydro_rig.diagnosis.oil import Oil, temperature_of
+from hydro_rig.diagnosis.verdict import NO_LEAK
+from hydro_rig.estimation.progress import tell, told_to
+from hydro_rig.recordings.findings import Weight
+from hydro_rig.recordings.parts import liveliest
+from hydro_rig.recordings.recording import Recording, read_recording
+from hydro_rig.recordings.sampling import Sampled, cut
 from hydro_rig.watching.fleet import Axis, Fleet
-from hydro_rig.watching.reading import row_of_file
 from hydro_rig.watching.table import File, files_of, read_table, with_row, write_table
 from hydro_rig.watching.trend import CODES, SERIOUS, AxisTrend, trend_of
 
+MOST_WINDOWS = 12  # of a reading; more take longer and add little
+WINDOW = 2.0  # s
+SECTION = 300.0  # s of a recording, which gives one of them
+FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
+_DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
 WRITE_EVERY = 5.0  # s; a killed call reads at most the files of so long a time again
+
+
+def row_of_file(path: Path, axis: Axis) -> dict[str, Any]:
+    """The row of a file: its first and last stamp (s since 1970), and what :func:`row_of` reads.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or holds no rows.
+    """
+    rows = read_recording(path, axis.columns)
+    clock = 0.0 if FIRST_DATE <= rows.begin <= LAST_DATE else _began(path) - rows.begin
+    last = rows.begin + float(rows.time[-1])
+    return {"time": clock + rows.begin, "until": clock + last, **row_of(rows, axis.task, axis.oil)}
+
+
+def _began(path: Path) -> float:
+    """s since 1970 by the name of a file, or by its age."""
+    found = _DATE.search(path.name)
+    if found is not None:
+        with suppress(ValueError):  # the 45th of a month
+            return datetime(*(int(part or 0) for part in found.groups()), tzinfo=UTC).timestamp()  # type: ignore[arg-type,misc]
+    return path.stat().st_mtime
+
+
+def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_WINDOWS) -> dict[str, Any]:
+    """Verdict, leak at 40 °C and oil temperature of a recording, from its liveliest windows and a measured flow."""
+
+    def choose(samples: Sampled) -> Windows:
+        windows = cut(samples, round(WINDOW / samples.period))
+        return windows.part(liveliest(windows, most, SECTION))
+
+    with told_to(None):  # a file is one step of the progress
+        found = diagnosed(recording, config, choose, partial(read_windows, threads=1), WINDOW, oil)
+    verdict = found.verdict
+    leak = verdict.leak or NO_LEAK
+    faults = [finding.line() for finding in found.checked.findings if finding.weight is Weight.FAULT]
+    return {
+        "verdict": verdict.kind.value,
+        "reason": "; ".join(dict.fromkeys(filter(None, [verdict.why, *faults]))),
+        "temperature": temperature_of(found.windows if len(found.windows) else recording),
+        "size_40": leak.value,
+        "low_40": leak.low,
+        "high_40": leak.high,
+    }
 
 
 class Watched(NamedTuple):
@@ -40,13 +97,10 @@ class Watched(NamedTuple):
 
 
 def watch(places: Sequence[Path], table_file: Path, fleet: Fleet, jobs: int = 1) -> Watched:
-    """Read the files that the table does not hold, and write the table.
+    """Read the files of folders that the table does not hold, ``jobs`` side by side, and write the table.
 
-    Args:
-        places: folders and files; none: the table alone tells, as ``hydro watch`` writes it.
-        table_file: the table, a CSV file.
-        fleet: the axes. A file of one that it does not name is left out; one that it names is never left out.
-        jobs: files that are read side by side.
+    Without places the table alone tells, as ``hydro watch`` writes it. A file of an axis that the fleet does not name
+    is left out; an axis that it names is never left out.
 
     Raises:
         ConfigurationError: no file can be read, nothing was ever read, or the table cannot be written.

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hydro_rig.diagnosis.change import change_of
+from hydro_rig.diagnosis.diagnose import change_of
 from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.diagnosis.verdict import Kind, Leak, Verdict
 

@@ -10,8 +10,7 @@ from command_line import assert_one_clear_line, done, hydro
 
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import TaskConfig
-from hydro_rig.diagnosis.leak_test_plan import Step, plan, simulated, worn_task
-from hydro_rig.diagnosis.leak_test_reading import read_leak_test
+from hydro_rig.diagnosis.leak_test import Step, plan, read_leak_test, simulated, worn_task
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.recordings.simulated import recording_csv
 

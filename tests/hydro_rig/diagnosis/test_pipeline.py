@@ -11,9 +11,8 @@ from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis import diagnose as diagnosing
-from hydro_rig.diagnosis.diagnose import diagnose
+from hydro_rig.diagnosis.diagnose import Read, diagnose, diagnosed
 from hydro_rig.diagnosis.oil import Oil
-from hydro_rig.diagnosis.pipeline import Read, diagnosed
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind, Limits, Verdict, by_volume
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
 from hydro_rig.recordings.recording import read_recording

@@ -11,8 +11,7 @@ from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SENSORS
 from hydro_rig.estimation.estimate import estimate, usable_readings
-from hydro_rig.estimation.information import bound, true_model
-from hydro_rig.estimation.known_windows import known_windows, leak_cases
+from hydro_rig.estimation.known_windows import bound, known_windows, leak_cases, true_model
 from hydro_rig.estimation.search import EstimationSettings
 from hydro_rig.estimation.unknowns import BIASES, LEAKAGE, STARTS, default_unknowns, priors_of
 
@@ -59,7 +58,7 @@ def test_one_unknown_is_known_as_well_as_its_derivative_says(windows):
     model, _ = true_model(CONFIG, windows, priors)
     used = np.isfinite(usable_readings(windows.signals, CONFIG, model))
     change = 1e-3  # l/min
-    above, below = (model.readings(model.scaled(np.full((3, 1), LEAK + sign * change))) for sign in (1, -1))
+    above, below = (model.readings(model.prior.scaled(np.full((3, 1), LEAK + sign * change))) for sign in (1, -1))
     slope = np.where(used, (above - below) / (2.0 * change), 0.0)
     closed = 1.0 / np.sqrt((slope**2).sum(axis=(1, 2)))
     prior = priors[LEAKAGE].deviation

@@ -5,8 +5,7 @@ from driven_axes import CONFIG, FEW, driven
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
-from hydro_rig.estimation.estimate import usable_readings
-from hydro_rig.estimation.first_guess import first_values
+from hydro_rig.estimation.estimate import first_values, usable_readings
 from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.solver import NONE_SHARED, Effort, Linearised, Problem, fit
 from hydro_rig.estimation.unknowns import STARTS, priors_of
@@ -18,7 +17,7 @@ def problem_of(leak, seeds, unknowns=None):
     signals, physical, _ = driven(CONFIG, leak, seeds, start_moving=True)
     priors = priors_of(CONFIG, unknowns)
     model = Model(CONFIG, priors, signals[:, -1], physical=physical)
-    guess = model.scaled(first_values(signals, CONFIG, priors))
+    guess = model.prior.scaled(first_values(signals, CONFIG, priors))
     return Problem(model, usable_readings(signals, CONFIG, model)), guess
 
 

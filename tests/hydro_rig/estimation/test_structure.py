@@ -33,11 +33,11 @@ def test_the_model_of_an_axis_with_every_part_is_what_the_environment_does():
     config, known = windows(TIP | LINES, enabled=False, pressures_at="valve")
     model = Model(config, priors_of(config, (LEAKAGE,)), known.signals[:, -1], known.physical, known.start)
     assert model.structure == Structure(lines=True, tip=True)
-    read = model.readings(model.scaled(known.leakage_flow_lpm[:, None])) * model.noise[:, None]
+    read = model.readings(model.prior.scaled(known.leakage_flow_lpm[:, None])) * model.noise[:, None]
     signals = known.signals[:, : len(SENSORS)]
     np.testing.assert_allclose(read, signals, rtol=1e-9, atol=1e-9)
     rigid = Model(CONFIG, priors_of(CONFIG, (LEAKAGE,)), known.signals[:, -1], known.physical, known.start)
-    other = rigid.readings(rigid.scaled(known.leakage_flow_lpm[:, None])) * rigid.noise[:, None]
+    other = rigid.readings(rigid.prior.scaled(known.leakage_flow_lpm[:, None])) * rigid.noise[:, None]
     assert np.abs(other - read)[:, PRESSURE_A].max() > 0.05 * np.ptp(signals[:, PRESSURE_A])
 
 

@@ -59,7 +59,7 @@ def in_c(made, tmp_path_factory):
 
     @functools.cache
     def loaded(kind, rig):
-        return library(tmp_path_factory.mktemp("c"), controller_code(made(kind, rig)[0]).files)
+        return library(tmp_path_factory.mktemp("c"), controller_code(made(kind, rig)[0]))
 
     return lambda kind, rig, **options: InC(loaded(kind, rig), made(kind, rig)[0], **options)
 
@@ -160,7 +160,7 @@ class Exploding:
 def test_a_command_that_is_no_number_is_a_fault(tmp_path):
     graph = controller_graph(Exploding(TaskConfig()), TaskConfig())
     row = {"enable": True, "valid_position": True, "pressure_a": 1e5, "valid_pressure_a": True}
-    runs = InPython(graph), InC(library(tmp_path, controller_code(graph).files), graph)
+    runs = InPython(graph), InC(library(tmp_path, controller_code(graph)), graph)
     for run in runs:
         closed(run, row)
         last = run({**row, "control": True})
@@ -308,7 +308,7 @@ int controller_raises(Controller *block)
 @pytest.mark.parametrize(("kind", "rig"), KINDS[:3])
 def test_no_input_raises_a_floating_point_exception_in_c(kind, rig, made, tmp_path):
     graph, task = made(kind, rig)
-    loaded = library(tmp_path, controller_code(graph).files, {"flags.c": FLAGS})
+    loaded = library(tmp_path, controller_code(graph), {"flags.c": FLAGS})
     run, generator = InC(loaded, graph), np.random.default_rng(3)
     usual = at_rest(graph, equilibrium(task.plant, 0.01)[0])
     numbers = [row.name for row in graph.inputs if row.kind is float]

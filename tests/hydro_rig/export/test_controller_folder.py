@@ -64,7 +64,7 @@ def test_the_compensation_of_an_overlapped_valve_is_exported():
 def test_several_blocks_with_own_gains_fit_into_one_program(exported, tmp_path):
     names = {"pid": "Lift", "flow_linearising": "TiltAxis"}
     graphs = {kind: exported(kind).graph for kind in names}
-    loaded = library(tmp_path, *(controller_code(graph, names[kind]).files for kind, graph in graphs.items()))
+    loaded = library(tmp_path, *(controller_code(graph, names[kind]) for kind, graph in graphs.items()))
     env = ServoHydraulicVectorEnv(1, TASK)
     env.reset(seed=[SEED + 30])
     for kind, prefix in (("pid", "lift"), ("flow_linearising", "tilt_axis")):

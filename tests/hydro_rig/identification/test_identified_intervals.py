@@ -10,9 +10,8 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 from hydro_rig.estimation.solver import Problem
 from hydro_rig.identification.common_fit import Joint
-from hydro_rig.identification.fit import fit_windows
+from hydro_rig.identification.fit import fit_windows, possible_ends, spread_of, truncated_end, within_bounds
 from hydro_rig.identification.found_rig import found_values, narrowed
-from hydro_rig.identification.intervals import possible_ends, spread_of, truncated_end, within_bounds
 from hydro_rig.recordings.recording import read_recording
 
 WINDOWS, UNKNOWNS, READINGS = 7, 6, 40

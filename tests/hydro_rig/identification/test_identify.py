@@ -17,7 +17,7 @@ from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.rig import read_rig
-from hydro_rig.identification.files import identify_to_folder
+from hydro_rig.identification.identification_page import identify_to_folder
 from hydro_rig.identification.identify import identify
 
 RANGES = {

@@ -19,8 +19,7 @@ from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.simulated import record_axis
 from hydro_rig.watching.fleet import Axis, Fleet
-from hydro_rig.watching.rows import SIGNALS, RowError, RowReader, in_protocol
-from hydro_rig.watching.sources import MOST_LINES, broker, lines_of
+from hydro_rig.watching.rows import MOST_LINES, SIGNALS, RowError, RowReader, broker, in_protocol, lines_of
 from hydro_rig.watching.stream import FleetWatch
 from hydro_rig.watching.table import read_table, write_table
 from hydro_rig.watching.trend import Condition

@@ -19,10 +19,9 @@ from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.watching import watch as job
 from hydro_rig.watching.fleet import Axis, Fleet
 from hydro_rig.watching.page import trend_page
-from hydro_rig.watching.reading import row_of_file
 from hydro_rig.watching.table import COLUMNS, File, files_of, read_table, seconds, stamp, with_row
 from hydro_rig.watching.trend import State, trend_of
-from hydro_rig.watching.watch import Watched, watch
+from hydro_rig.watching.watch import Watched, row_of_file, watch
 
 OIL, DAY = Oil.of("46"), 86400.0
 AXIS = Axis(TaskConfig(), None, OIL, 0.3)

@@ -1,26 +1,29 @@
-"""The plan of a leak test: steps of the valve opening, within limits, from which a leak can be read.
+"""The plan of a leak test, steps of the valve opening from which a leak can be read, and its reading.
 
 The axis is pressed against its stops at several openings, stands there with the valve closed, and makes short moves off
 the stop. At a stop all oil that enters a chamber leaks: past the seal, whose flow changes its direction from one stop
 to the other, and past the edges of the valve, whose flow changes with the opening. All steps run in open loop.
 
 The largest opening is the one at which simulated axes with worn valves keep the limits; the Cramér–Rao bound
-(:mod:`hydro_rig.estimation.information`) says how exactly the leak can be read from them.
-"""
+(:mod:`hydro_rig.estimation.known_windows`) says how exactly the leak can be read from them.
 
-from __future__ import annotations
+The reading is one fit of the simulator to the whole recording, with an unknown wear of the valve: all windows share
+leak, plant and wear; each has its own start. The verdict follows the rules of ``hydro diagnose``.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.detector import HALF_WIDTH
+from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
 from hydro_agents.rigs.check import resting_place
 from hydro_agents.running.seeds import LEARNING
+from hydro_agents.running.statistics import Interval
 from hydro_agents.running.tasks import own_reference
 from hydro_agents.running.text import number
 from hydro_env import ConfigurationError, TaskConfig
@@ -29,10 +32,17 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats, Mask
-from hydro_rig.estimation.information import bound as smallest_deviation
+from hydro_rig.diagnosis.diagnose import Diagnosis, Read, diagnosed
+from hydro_rig.estimation.estimator import WEAR, healthy_range
 from hydro_rig.estimation.known_windows import KnownWindows, known_windows, leak_cases
-from hydro_rig.estimation.unknowns import Prior, priors_of
-from hydro_rig.identification.fit import unknowns_of
+from hydro_rig.estimation.known_windows import bound as smallest_deviation
+from hydro_rig.estimation.search import SURE
+from hydro_rig.estimation.unknowns import LEAKAGE, Prior, priors_of
+from hydro_rig.identification.common_fit import WELL_FITTED, Common, common_fit
+from hydro_rig.identification.fit import COVERAGE, spread_of, unknowns_of
+from hydro_rig.recordings.columns import ColumnMap
+from hydro_rig.recordings.recording import read_recording
+from hydro_rig.recordings.sampling import Sampled, cut
 
 MOVE = 0.5  # s, of each part of a short move
 RAMP = 2.0  # full strokes per second with which the opening changes: a sudden change makes the axis swing
@@ -40,7 +50,7 @@ SHARES = (0.3, 0.1)  # of the largest opening, one after the other at each stop,
 MOVES = 2  # short moves off each stop
 STOPS = {"both": (1.0, -1.0), "extended": (1.0,), "retracted": (-1.0,)}
 
-WEAR = {
+WORN = {
     "valve.null_shift": Distribution(uniform=(-0.02, 0.02)),
     "valve.underlap": Distribution(uniform=(0.0, 0.04)),
     "supply.tank_pressure": Distribution(uniform=(-0.5e5, 4e5)),
@@ -57,6 +67,10 @@ SAFETY = 0.95  # of the limit of speed, which the largest opening reaches
 SIMULATED_LEAK = 0.01  # l/min at 100 bar, of the simulated axes
 ATTEMPTS = 5  # to find the largest opening
 UNLIMITED = {"end_stop_speed": 100.0, "pressure_rating": 2e8}  # of a simulation whose peaks are to be measured
+WINDOW = 4.0  # s; the windows share all unknowns but their start
+MOST_WINDOWS = 30  # of a longer recording those at its end
+Quantities = dict[str, Interval]
+"""By unknown its value with the 90 % interval: the leak in l/min at 100 bar, what wears in SI units."""
 
 
 class Step(NamedTuple):
@@ -94,13 +108,9 @@ class Plan:
 
 
 def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None, stop: str = "both") -> Plan:
-    """The test within limits.
+    """The test of ``duration`` s on the rig of a task, within limits; ``stop``: a name in :data:`STOPS`.
 
-    Args:
-        config: the task of the rig.
-        duration: s.
-        speed: m/s, the largest one, also against an end stop; default: that of the task.
-        stop: a name in :data:`STOPS`.
+    ``speed``: m/s, the largest one, also against an end stop; default: that of the task.
 
     Raises:
         ConfigurationError: no test is possible within the limits.
@@ -137,7 +147,7 @@ def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None,
 def worn_task(config: TaskConfig) -> TaskConfig:
     """The task with a valve that may be worn and a return line that may be clogged; wider ranges of the rig stay."""
     ranges: dict[str, Any] = {path: drawn.model_dump(exclude_none=True) for path, drawn in config.randomisation.items()}
-    for path, wear in WEAR.items():
+    for path, wear in WORN.items():
         own = own_value(config.plant, path)
         drawn = config.randomisation.get(path, Distribution(uniform=(own, own)))
         if drawn.times is not None:
@@ -168,11 +178,7 @@ def commands_of(steps: Sequence[Step], period: float) -> Floats:
 def steps_of(task: TaskConfig, travel: Mapping[float, float], duration: float, opening: float) -> list[Step]:
     """The steps of the test; shares of the opening count from the end of the valve's dead band.
 
-    Args:
-        task: of the rig.
-        travel: s, to each stop by the sign of the opening.
-        duration: of the test, s.
-        opening: the largest one.
+    ``travel``: s, to each stop by the sign of the opening; ``opening``: the largest one.
     """
     period, dead = task.control_period, task.plant.valve.overlap
     if dead >= opening:
@@ -213,11 +219,7 @@ class Played:
 
 
 def simulated(
-    task: TaskConfig,
-    steps: Sequence[Step],
-    plants: int,
-    leak: float = SIMULATED_LEAK,
-    seeds: range | None = None,
+    task: TaskConfig, steps: Sequence[Step], plants: int, leak: float = SIMULATED_LEAK, seeds: range | None = None
 ) -> KnownWindows:
     """Signals of simulated axes during a test, those of the plan or of other seeds."""
     openings = commands_of(steps, task.control_period)
@@ -245,3 +247,67 @@ def _travel_times(task: TaskConfig, signs: Sequence[float], duration: float, ope
             f"of {100 * opening:.2g} %; allow {math.ceil(needed)} s, raise --speed, or test one --stop"
         )
     return times
+
+
+def read_leak_test(path: Path, config: TaskConfig, columns: ColumnMap | None = None) -> tuple[Diagnosis, Quantities]:
+    """Read the recording of a leak test: verdict, and what wears; nothing of the latter without a reading.
+
+    The valve of the task's rig is healthy. Columns as of :func:`~hydro_rig.recordings.recording.read_recording`.
+
+    Raises:
+        ConfigurationError: the recording cannot be read at all.
+    """
+    found: Quantities = {}
+
+    def read(windows: Windows, config: TaskConfig) -> Read:
+        if len(windows) < 2:
+            return Read(Reading.of(np.full(len(windows), np.nan), why=Why.FEW_WINDOWS))
+        measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
+        task = worn_task(config)
+        common = common_fit(windows, task, priors_of_test(task, measured))
+        found.update(quantities(common))
+        return Read(_reading(common, found, config))
+
+    return diagnosed(read_recording(path, columns), config, _windows, read, WINDOW), found
+
+
+def _windows(samples: Sampled) -> Windows:
+    """The last windows with all commands."""
+    total = int(samples.place[-1]) + 1 if len(samples.place) else 0
+    count = max(round(total * samples.period / WINDOW), 1)
+    windows = cut(samples, max(total // count, 2))  # to the last move
+    return windows.part(np.flatnonzero(windows.commanded)[-MOST_WINDOWS:])
+
+
+def quantities(common: Common) -> Quantities:
+    """The leak and what wears, by unknown."""
+    joint, model = common.joint, common.model
+    reach = HALF_WIDTH / COVERAGE * spread_of(joint).reach
+    found = {}
+    for place, value, error in zip(joint.shared, joint.common, reach, strict=True):
+        name = model.names[place]
+        if name == LEAKAGE or name in WEAR or name.startswith("valve."):
+            found[name] = Interval(*model.priors[name].value(value + error * np.array([0.0, -1.0, 1.0])).tolist())
+    return found
+
+
+def _reading(common: Common, found: Quantities, config: TaskConfig) -> Reading:
+    """The test as the reading of a detector: every window shares the leak, and may contradict the model."""
+    faults, causes = [], []
+    for name, wear in WEAR.items():
+        if name in found:
+            value, below, above = found[name]
+            low, high = healthy_range(config, name)
+            if max(low - value, value - high) > SURE * (above - below) / (2.0 * HALF_WIDTH):
+                faults.append(wear.sized(value))
+                causes.append(wear.cause)
+    holds, leak = common.misfit < WELL_FITTED, found[LEAKAGE]
+    return Reading.of(
+        np.full(len(holds), leak.value / (leak.high - leak.low)),
+        np.where(holds, causes[0] if causes else Cause.NONE, Cause.UNKNOWN),
+        flow_lpm=leak.value,
+        low_lpm=leak.low,
+        high_lpm=leak.high,
+        fault=" and ".join(faults),
+        why=np.where(holds, Why.ANSWERED, Why.MISFIT),
+    )
