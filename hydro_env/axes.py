@@ -47,8 +47,7 @@ from hydro_env.task.settings import padded_draws, settings_of
 from hydro_env.task.signals import POSITION, layout_of, observation_layout
 from hydro_env.types import Floats
 
-AXES_PER_THREAD = 256
-"""Smallest number of axes per thread; with fewer, starting the thread takes longer than its work."""
+AXES_PER_THREAD = 256  # smallest number of axes per thread; with fewer, starting the thread takes longer than its work
 
 _TIP = list(ALL_STATES).index("tip_position")
 
@@ -80,10 +79,7 @@ class AxesState:
 class Axes:
     """N servo axes and their episodes. Arrays are public for reading; ``record`` has the fields of ``RECORD``.
 
-    Args:
-        config: the task.
-        count: number of axes N.
-        threads: worker threads of a step; ``None`` takes one per core, but no more than the number of axes needs.
+    A step has at most so many ``threads``, and no more than the number of axes needs; ``None``: one per core.
 
     Raises:
         ConfigurationError: the task is impossible, or the axes do not fit into memory.
@@ -250,8 +246,7 @@ class Axes:
 
     def tip_position(self) -> Floats:
         """Position of the second mass, m, (N,); of a rigid load that of the piston."""
-        tips: Floats = np.where(self._tips[self.rigs()], self.complete_state[:, _TIP], self.column("position"))
-        return tips
+        return np.where(self._tips[self.rigs()], self.complete_state[:, _TIP], self.column("position"))
 
     def rigs(self) -> Indices:
         """Number of each axis's rig among :attr:`tasks`, (N,)."""

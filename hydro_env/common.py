@@ -17,11 +17,8 @@ from hydro_env.axes import Axes, AxesState
 from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.task.configuration import TaskConfig
 
-Given = TaskConfig | Mapping[str, Any] | str | Path | None
-"""A task as the environments take it: an object, a mapping, the name of a file or its path."""
-
-NAMED = ("config", "task", "rig", "plant")
-"""Keywords with possible file names."""
+Given = TaskConfig | Mapping[str, Any] | str | Path | None  # what the environments take as a task
+NAMED = ("config", "task", "rig", "plant")  # keywords with possible file names
 
 
 class AxisEnvironment:

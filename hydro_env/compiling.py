@@ -129,8 +129,7 @@ class Kernel:
     @property
     def loaded(self) -> Callable[..., Any]:
         """The compiled machine code, if available, for callers that save tenths of microseconds."""
-        loaded: Callable[..., Any] = self.dispatcher if self._ready else self
-        return loaded
+        return self.dispatcher if self._ready else self
 
     def _first(self, arguments: tuple[Any, ...]) -> Any:
         collecting = gc.isenabled()
@@ -243,13 +242,7 @@ def lane_storer(columns: Sequence[int], first: int, lanes: int) -> Any:
 
 
 def function_of_number(functions: Sequence[Callable[..., Any]], parameters: str, number: str) -> Any:
-    """A function of ``parameters`` that calls ``functions[number]``, and nothing for other numbers.
-
-    Args:
-        functions: functions of the parameters without the number.
-        parameters: names, with commas between them.
-        number: name of the parameter with the number.
-    """
+    """A function of ``parameters`` that calls ``functions[number]`` with the others; nothing for other numbers."""
     others = ", ".join(name for name in parameters.split(", ") if name != number)
     lines = [f"if {number} == {index}: function_{index}({others})" for index in range(len(functions))]
     names = {f"function_{index}": function for index, function in enumerate(functions)}

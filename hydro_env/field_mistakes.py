@@ -20,12 +20,7 @@ def described(
 ) -> ConfigurationError:
     """The error that names every mistake of a group: one in one line, several in one line each below a heading.
 
-    Args:
-        model: class of the group.
-        error: what pydantic has found.
-        values: what it has read.
-        source: of the values, such as the file.
-        within: where in the source the group stands, such as ``controllers.PID.settings``.
+    ``source`` is that of the values, such as the file; the group stands ``within`` it, as ``controllers.PID.settings``.
     """
     schema = model.model_json_schema()
     lines: dict[Path, str] = {}

@@ -18,11 +18,8 @@ from hydro_env.errors import ConfigurationError
 from hydro_env.field_mistakes import described
 from hydro_env.units import in_si
 
-LARGEST_FILE = 100_000
-"""Largest size of a configuration file in bytes; the largest of this project has two thousand."""
-
-MOST_ALIASES = 100
-"""Largest number of aliases in a YAML file; none may stand within an anchor, because nested aliases multiply."""
+LARGEST_FILE = 100_000  # largest size of a configuration file in bytes; the largest of this project has two thousand
+MOST_ALIASES = 100  # in a YAML file; none may stand within an anchor, because nested aliases multiply
 
 
 if TYPE_CHECKING:
@@ -67,13 +64,7 @@ ModelType = TypeVar("ModelType", bound=BaseModel)
 
 
 def validate(model: type[ModelType], values: Any, source: str, within: str = "") -> ModelType:
-    """Build ``model`` from ``values``; the error names ``source`` and every mistake, one per line.
-
-    Args:
-        model: class of the group.
-        values: its settings.
-        source: where they come from, for the message.
-        within: where in the source they stand, such as ``controllers.PID.settings``.
+    """Build ``model`` from ``values``; the error names ``source``, the place ``within`` it, and every mistake.
 
     Raises:
         UnknownKeyError: unknown key, alone or among other mistakes; also a ``TypeError``.
@@ -179,8 +170,8 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     return _mapping(values, path)
 
 
-def read_json(path: str | Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
-    """Read a JSON object of at most ``largest`` bytes.
+def read_json(path: str | Path) -> dict[str, Any]:
+    """Read a JSON object.
 
     Raises:
         ConfigurationError: the file is missing, unreadable or too large, is not JSON or not an object, repeats a key,
@@ -193,7 +184,7 @@ def read_json(path: str | Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
             raise ValueError("a key stands twice")
         return values
 
-    text = read_text(path, largest)
+    text = read_text(path)
     try:
         values = json.loads(text, object_pairs_hook=unrepeated)
     except json.JSONDecodeError as error:

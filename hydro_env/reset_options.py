@@ -52,12 +52,9 @@ def _of_axes(values: NDArray[Any], axes: Indices) -> NDArray[Any]:
 
 
 class ResetOptions:
-    """The parts of the next episode that the caller fixes, for each of N axes.
+    """The parts of the next episode that the caller fixes, for each of ``count`` axes, on the task on each of its rigs.
 
-    Args:
-        tasks: the task on each of its rigs.
-        count: number of axes N.
-        samples: number of samples of a reference, preview included.
+    A reference has so many ``samples``, preview included.
 
     Raises:
         ConfigurationError: the randomisation can draw impossible plants, or the task's own reference is impossible.

@@ -12,14 +12,9 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from hydro_env.errors import ConfigurationError
 from hydro_env.mistakes import one_of
 
-LITRE_PER_MINUTE = 1e-3 / 60
-"""One litre per minute in m³/s."""
-
-LEAKAGE_TEST_PRESSURE = 100e5
-"""Pressure difference (Pa) for quoting a leak: 100 bar across the piston."""
-
-FULL_VOLTAGE = 10.0
-"""Largest input of the valve's amplifier (V); a command of 1."""
+LITRE_PER_MINUTE = 1e-3 / 60  # one litre per minute in m³/s
+LEAKAGE_TEST_PRESSURE = 100e5  # pressure difference (Pa) for quoting a leak: 100 bar across the piston
+FULL_VOLTAGE = 10.0  # largest input of the valve's amplifier (V); a command of 1
 
 
 UNITS: dict[str, dict[str, float]] = {
@@ -40,18 +35,13 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """SI units per unit, by SI unit; the usual units come first. Pressures are gauge pressures."""
 
-FACTORS = {name: factor for known in UNITS.values() for name, factor in known.items()}
-"""SI units per unit, by its name."""
+FACTORS = {name: factor for known in UNITS.values() for name, factor in known.items()}  # SI units per unit, by its name
 
 _QUANTITY = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?![eE][-+]?\d)(-|[^\d\s.,:+-].*)")
 
 
 def unit_factor(text: str, known: Mapping[str, float]) -> float:
-    """SI units per unit of a text; it may contain ``3`` or ``^3`` for ``³``, and either ``µ`` or ``μ``.
-
-    Args:
-        text: name of the unit.
-        known: SI units per unit, as in :data:`UNITS`.
+    """SI units per unit of a text, by the ``known`` ones; it may contain ``3`` or ``^3`` for ``³``, and ``µ`` or ``μ``.
 
     Raises:
         ValueError: the unit is unknown.
@@ -90,11 +80,9 @@ def rounded(value: float, unit: str = "1", digits: int = 3) -> float:
 
 
 def in_si(value: Any, unit: str) -> Any:
-    """A quantity written with its unit, such as ``63 mm``, as a number in SI; anything else unchanged.
+    """A quantity written with its unit, such as ``63 mm``, or a list of them, in SI; anything else unchanged.
 
-    Args:
-        value: text, or a list of texts; a text without a unit stays unchanged.
-        unit: SI unit of the result; a unit that is not in :data:`UNITS` accepts only its own name.
+    A unit of the result that is not in :data:`UNITS` accepts only its own name.
 
     Raises:
         ValueError: the text names a unit of another quantity.
@@ -153,11 +141,8 @@ def _no_nan(value: float) -> float:
     return value
 
 
-Number = Annotated[float, BeforeValidator(_no_truth_value), AfterValidator(_no_nan)]
-"""A float that is neither a truth value nor NaN."""
-
-Whole = Annotated[int, BeforeValidator(_no_truth_value)]
-"""An integer that is no truth value."""
+Number = Annotated[float, BeforeValidator(_no_truth_value), AfterValidator(_no_nan)]  # neither a truth value nor NaN
+Whole = Annotated[int, BeforeValidator(_no_truth_value)]  # an integer that is no truth value
 
 
 def quantity(default: float, unit: str, origin: str, low: float, high: float) -> Any:

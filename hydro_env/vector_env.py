@@ -57,11 +57,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
         ((3, 13), [0, 2, 3])
     """
 
-    metadata: dict[str, Any] = {
-        "render_modes": [],
-        "render_fps": 50,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }
+    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 50, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
         self,

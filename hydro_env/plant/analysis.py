@@ -59,25 +59,25 @@ def leak_at_test_pressure(parameters: PlantParameters) -> float:
     return float(internal_leakage(LEAKAGE_TEST_PRESSURE, 0.0, c)) / LITRE_PER_MINUTE
 
 
-class ForceLimits(NamedTuple):
-    """Largest steady forces on the load at full pressure, N; positive if the supply can push in that direction."""
+class Limits(NamedTuple):
+    """The largest steady values in both directions of motion, each positive where the supply suffices."""
 
     extending: float
     retracting: float
 
 
-def full_pressure_forces(parameters: PlantParameters) -> ForceLimits:
+def full_pressure_forces(parameters: PlantParameters) -> Limits:
     """Forces of the piston with one chamber at supply and the other at tank pressure, in N."""
     c = plant_coefficients(parameters)
     supply, tank = c.relief_pressure, c.tank_pressure
-    return ForceLimits(float(piston_force(supply, tank, c)), -float(piston_force(tank, supply, c)))
+    return Limits(float(piston_force(supply, tank, c)), -float(piston_force(tank, supply, c)))
 
 
-def force_limits(parameters: PlantParameters) -> ForceLimits:
+def force_limits(parameters: PlantParameters) -> Limits:
     """Largest steady forces on the load: P_s A_a − P_T A_b and P_s A_b − P_T A_a in N, less the external force."""
     out, back = full_pressure_forces(parameters)
     external = parameters.load.external_force
-    return ForceLimits(out - external, back + external)
+    return Limits(out - external, back + external)
 
 
 def closed_port_natural_frequency(parameters: PlantParameters, position: float = 0.0) -> float:
@@ -89,15 +89,8 @@ def closed_port_natural_frequency(parameters: PlantParameters, position: float =
     return math.sqrt(closed_port_stiffness(parameters, position) * c.inverse_mass)
 
 
-class SpeedLimits(NamedTuple):
-    """Steady speeds at full valve opening, m/s, both positive; 0 if the force does not suffice."""
-
-    extending: float
-    retracting: float
-
-
-def speed_limits(parameters: PlantParameters, force: float = 0.0) -> SpeedLimits:
-    """Steady speed at ±10 V against a constant force (N, positive against extension).
+def speed_limits(parameters: PlantParameters, force: float = 0.0) -> Limits:
+    """Steady speeds in m/s at ±10 V against a constant force (N, positive against extension); 0 where it is too large.
 
     From the flow law on both edges and the balance of forces, without leakage:
     v = K √((A_a P_s − A_b P_T − F)/(A_a³ + A_b³/r²)) extending, and with A_b P_s − A_a P_T + F retracting; r is the
@@ -106,7 +99,7 @@ def speed_limits(parameters: PlantParameters, force: float = 0.0) -> SpeedLimits
     c = plant_coefficients(parameters)
     cubes = c.area_a**3 + c.area_b**3 / c.edge_ratio**2
     out, back = full_pressure_forces(parameters)
-    return SpeedLimits(
+    return Limits(
         c.edge_gain * math.sqrt(max(out - force, 0.0) / cubes), c.edge_gain * math.sqrt(max(back + force, 0.0) / cubes)
     )
 

@@ -108,10 +108,7 @@ class AxisFunctions(NamedTuple):
 @cache
 def functions_of(structure: Structure) -> AxisFunctions:
     """The functions of axes with a structure; each is compiled when it is first called."""
-    return _build_functions(SOURCES + structure.number, structure)
-
-
-def _build_functions(sources: int, structure: Structure) -> AxisFunctions:
+    sources = SOURCES + structure.number
     parts, kind = parts_of(structure), state_kind(structure)
     read, write, size = tuple_reader(kind), tuple_writer(kind), len(kind._fields)
 
@@ -149,5 +146,4 @@ def _build_functions(sources: int, structure: Structure) -> AxisFunctions:
     )
 
 
-derivative_array = functions_of(RIGID).derivative
-"""``derivative_array(state, coefficients, voltage)`` of an axis without optional parts."""
+derivative_array = functions_of(RIGID).derivative  # (state, coefficients, voltage) of an axis without optional parts

@@ -20,12 +20,7 @@ from hydro_env.plant.parts.chambers import (
     time_to_cavitation,
 )
 from hydro_env.plant.parts.friction import FrictionCoefficients, friction, friction_coefficients, time_to_reversal
-from hydro_env.plant.parts.leakage import (
-    LeakageCoefficients,
-    external_leakage,
-    internal_leakage,
-    leakage_coefficients,
-)
+from hydro_env.plant.parts.leakage import LeakageCoefficients, external_leakage, internal_leakage, leakage_coefficients
 from hydro_env.plant.parts.lines import VOLUMES, LineCoefficients, LineLaws, line_coefficients, waves
 from hydro_env.plant.parts.load import (
     RIGID_LOAD,
@@ -45,13 +40,12 @@ from hydro_env.plant.parts.valve import (
     edge_coefficients,
     edge_flows,
     nearest_edge_kink,
-    no_edge_kink,
     spool_rates,
     spool_within_limits,
     time_to_spool_kink,
     valve_coefficients,
 )
-from hydro_env.plant.states import RIGID, LineState, State, Structure, TipState, error_weights, state_kind
+from hydro_env.plant.states import LineState, State, Structure, TipState, error_weights, state_kind
 
 _PARTS: tuple[Any, ...] = (
     ChamberCoefficients,
@@ -114,15 +108,11 @@ def parts_of(structure: Structure) -> Parts:
     return Parts(
         waves(structure) if structure.lines else VOLUMES,
         SECOND_MASS if structure.tip else RIGID_LOAD,
-        nearest_edge_kink if structure.sharp_edges else no_edge_kink,
+        nearest_edge_kink if structure.sharp_edges else merged("no_kink", "nearest, s, rate, c", "nearest"),
         tuple_joiner(kind, kinds),
         tuple_replacer(kind, "spool_position", "spool_velocity", "coil_current"),
         tuple_replacer(kind, "pressure_a", "pressure_b", "spool_position", "spool_velocity"),
     )
-
-
-RIGID_PARTS = parts_of(RIGID)
-"""Of an axis without optional parts."""
 
 
 @inline
@@ -196,8 +186,7 @@ def hold_limits(s, c, parts):
     return parts.lines.within_limits(limited)
 
 
-SHORTEST_TO_KINK = 1e-6
-"""s; kinks are located no more exactly than this."""
+SHORTEST_TO_KINK = 1e-6  # s; kinks are located no more exactly than this
 
 
 @inline

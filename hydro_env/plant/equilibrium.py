@@ -18,8 +18,7 @@ from hydro_env.plant.parts.supply import gas_volume_at, regulated_pressure
 from hydro_env.plant.parts.valve import edge_flows, holding_command
 from hydro_env.plant.states import State, Structure, TipState
 
-_SMALLEST_UNDERLAP_SQUARED = 1e-12
-"""Assumed opening of a zero-lapped valve at rest; without any flow the pressures would be undetermined."""
+_SMALLEST_UNDERLAP_SQUARED = 1e-12  # of a zero-lapped valve at rest; without any flow no pressure is determined
 
 _SUPPLY_ITERATIONS = 8
 _ITERATIONS = 100
@@ -93,8 +92,7 @@ def rest_of(structure: Structure) -> Any:
     return merged("rest", "s, c", f"join(s, {lines}, {tip})", **names)
 
 
-complete_at_rest = rest_of(Structure(lines=True, tip=True))
-"""``complete_at_rest(s, c)``: the states of an axis that has every part."""
+complete_at_rest = rest_of(Structure(lines=True, tip=True))  # (s, c): of an axis that has every part
 
 
 @inline
@@ -140,19 +138,10 @@ def _balance(position, supply_pressure, c, lines):
 
 @inline
 def equilibrium_state(position, p, c, lines):
-    """State at rest at ``position`` (m), the voltage (V) that holds it, and whether the position can be held.
+    """:class:`State` at rest at ``position`` (m), the voltage (V) that holds it, and whether the position can be held.
 
     Without pump or relief valve nothing holds the supply pressure: it starts at its setting; all other states are at
-    rest.
-
-    Args:
-        position: m from mid-stroke.
-        p: physical parameters (:data:`~hydro_env.plant.parameters.Physical`).
-        c: coefficients of the same plant.
-        lines: laws of its lines (:class:`~hydro_env.plant.parts.lines.LineLaws`).
-
-    Returns:
-        (:class:`~hydro_env.plant.states.State`, voltage in V, whether the position can be held).
+    rest. ``p`` are the physical parameters, ``c`` the coefficients of the same plant, ``lines`` the laws of its lines.
     """
     resting = _with_underlap(c, max(c.underlap_squared, _SMALLEST_UNDERLAP_SQUARED))
     supply_pressure = c.relief_pressure

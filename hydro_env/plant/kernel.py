@@ -43,29 +43,14 @@ from hydro_env.plant.equations import (
 from hydro_env.plant.states import RIGID, Structure, columns_of, state_kind
 from hydro_env.types import Floats
 
-LANES = 8
-"""Plants that one vector instruction works on (eight doubles fill an AVX-512 register)."""
-
-GROUPS = 2
-"""Groups of lanes in turn: one computes while another waits for its roots and divisions."""
-
-TOLERANCE = 1e-6
-"""Largest estimated error of a step, relative to each state's size (the weights in ``states``)."""
-
-MAXIMUM_STEP = 2e-3
-"""s; no step is longer."""
-
-MOST_STEPS_PER_PERIOD = 50_000.0
-"""Largest number of inner steps per call; a plant that needs more stops, and ``peaks`` holds the number."""
-
-FIRST_STEP = 1e-3 / 3
-"""s; tried first in each hold interval."""
-
-STABLE_PRODUCT = 3.2
-"""h·|λ| up to which the method is stable for rates with at least a quarter of their size as damping."""
-
-SHORTEST_STEP = 1e-8
-"""s; a step this short is accepted with any error, so that the integration always ends."""
+LANES = 8  # plants that one vector instruction works on (eight doubles fill an AVX-512 register)
+GROUPS = 2  # groups of lanes in turn: one computes while another waits for its roots and divisions
+TOLERANCE = 1e-6  # largest estimated error of a step, relative to each state's size (the weights in states)
+MAXIMUM_STEP = 2e-3  # s; no step is longer
+MOST_STEPS_PER_PERIOD = 50_000.0  # inner steps per call; a plant that needs more stops, and peaks holds the number
+FIRST_STEP = 1e-3 / 3  # s; tried first in each hold interval
+STABLE_PRODUCT = 3.2  # h·|λ| up to which the method is stable for rates with at least a quarter of it as damping
+SHORTEST_STEP = 1e-8  # s; a step this short is accepted with any error, so that the integration always ends
 
 STAGES = (
     (0.161,),
@@ -90,8 +75,7 @@ ERROR = (
 
 N_COEFFICIENTS = len(Coefficients._fields)
 N_PEAKS = 3
-PEAK_PRESSURE, IMPACT_SPEED, STEPS = range(N_PEAKS)
-"""Columns of ``peaks``: highest chamber pressure (Pa), highest speed at an end stop (m/s), number of inner steps."""
+PEAK_PRESSURE, IMPACT_SPEED, STEPS = range(N_PEAKS)  # columns of peaks: Pa; m/s at an end stop; number of inner steps
 
 
 class Plants(NamedTuple):
@@ -259,14 +243,7 @@ def _begin_interval(work, lane, voltage, duration, first_step, lanes):
 
 def _build(sources: int, lanes: Lanes) -> Callable[..., None]:
     def integrate(plants, accuracy, first, last):
-        """Advance plants in place through consecutive hold intervals.
-
-        Args:
-            plants: :class:`Plants`.
-            accuracy: :class:`Accuracy`.
-            first: start of the half-open range of plants to advance.
-            last: end of that range.
-        """
+        """Advance :class:`Plants` from ``first`` up to ``last`` in place through consecutive hold intervals."""
         assert sources >= 0  # keys numba's cache
         state, coefficients, voltage, durations, peaks = plants
         groups = min(GROUPS, -(-(last - first) // LANES))

@@ -10,11 +10,8 @@ import math
 
 from hydro_env.compiling import inline
 
-FAR = 1e9
-"""s; no kink ahead."""
-
-GRAZING = 0.3
-"""A motion that covers 1 / (1 + GRAZING) of the distance to a limit before it reverses may still meet the limit."""
+FAR = 1e9  # s; no kink ahead
+GRAZING = 0.3  # a motion that covers 1 / (1 + GRAZING) of the distance to a limit and reverses may still meet it
 
 
 @inline

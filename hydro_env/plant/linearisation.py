@@ -15,14 +15,9 @@ from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import ALL_STATES, STATE_NAMES, State, state_kind, typical_sizes
 from hydro_env.types import Floats
 
-VALVE_STATES = ("spool_position", "spool_velocity", "coil_current")
-"""The states of the valve, on which the others do not act back."""
-
-IDEAL_RATE = 1e5
-"""1/s; an ideal part of the valve follows its command at this rate in a linearisation."""
-
-NO_RATE = 1e-6
-"""1/s; a smaller effect of one state on another, both relative to their typical sizes, is ignored."""
+VALVE_STATES = ("spool_position", "spool_velocity", "coil_current")  # on which the others do not act back
+IDEAL_RATE = 1e5  # 1/s; an ideal part of the valve follows its command at this rate in a linearisation
+NO_RATE = 1e-6  # 1/s; a smaller effect of one state on another, both relative to their typical sizes, is ignored
 
 
 class Mode(NamedTuple):
@@ -197,19 +192,16 @@ def linearise(
     return Linearisation(a, b, force, at, voltage, names)
 
 
-def _difference(function: Any, step: float) -> Floats:
-    difference: Floats = (function(step) - function(-step)) / (2.0 * step)
-    return difference
+def _difference(function: Any, step: float) -> Any:
+    return (function(step) - function(-step)) / (2.0 * step)
 
 
-def fastest_motion(
-    parameters: PlantParameters, state: State | Mapping[str, float] | Floats, voltage: float = 0.0
-) -> tuple[float, str]:
+def fastest_motion(parameters: PlantParameters, state: State | Floats) -> tuple[float, str]:
     """|λ| in 1/s of the fastest eigenvalue at a state, and the state that moves most in it, relative to its size.
 
     Ideal parts of the valve do not count.
     """
-    model = linearise(parameters, state, voltage)
+    model = linearise(parameters, state, 0.0)
     values, vectors = np.linalg.eig(model.a)
     rates = np.abs(values)
     rates[np.abs(rates - IDEAL_RATE) < 1e-6 * IDEAL_RATE] = 0.0

@@ -29,8 +29,7 @@ from hydro_env.plant.parts.valve import SHARP, Valve
 from hydro_env.plant.states import Structure
 from hydro_env.types import Floats
 
-OF_THE_TASK = ("randomisation", "sensors")
-"""Groups in the file of a rig that belong to the task."""
+OF_THE_TASK = ("randomisation", "sensors")  # groups in the file of a rig that belong to the task
 
 
 class PlantParameters(Group):
@@ -120,8 +119,7 @@ def _fields() -> dict[str, Any]:
     }
 
 
-PARAMETER_PATHS: tuple[str, ...] = tuple(_fields())
-"""``group.field`` of every parameter, in the order of :func:`to_vector`."""
+PARAMETER_PATHS: tuple[str, ...] = tuple(_fields())  # group.field of every parameter, in the order of to_vector
 
 PARAMETER_UNITS: dict[str, str] = {
     path: str((info.json_schema_extra or {}).get("unit", "1")) for path, info in _fields().items()

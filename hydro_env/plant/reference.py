@@ -22,11 +22,8 @@ from hydro_env.types import Floats
 
 _SPOOL, _SPOOL_VELOCITY = (STATE_NAMES.index(name) for name in ("spool_position", "spool_velocity"))
 
-_NEAR = 1e-12
-"""Relative distance from a limit within which a state counts as on it."""
-
-_OFF = 1e-10
-"""Relative distance from a limit that the solution has just left, so that it does not meet it again immediately."""
+_NEAR = 1e-12  # relative distance from a limit within which a state counts as on it
+_OFF = 1e-10  # relative distance from a limit just left, so that it is not met again immediately
 
 _MOST_EVENTS = 100
 
@@ -52,15 +49,9 @@ def reference_states(
     tolerance: float = 1e-10,
     structure: Structure = RIGID,
 ) -> Floats:
-    """States after every sample of held voltages, shape (n + 1, states).
+    """States (n + 1, states) from the one at the start (states,) on, after every sample of held voltages (n,), V.
 
-    Args:
-        start: state, shape (states,).
-        coefficients: shape (N_COEFFICIENTS,).
-        inputs: voltages, shape (n,), V.
-        sample_time: s.
-        tolerance: relative; the absolute tolerance is this fraction of the states' typical size.
-        structure: which optional parts the axis has.
+    The absolute tolerance is the relative one times the states' typical size.
 
     Raises:
         InvalidStateError: the solver failed.

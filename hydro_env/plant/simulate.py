@@ -44,8 +44,7 @@ TRAJECTORY_NAMES = ("time", "voltage", *STATE_NAMES, *DERIVED_NAMES)
 TRAJECTORY_UNITS = dict(zip(TRAJECTORY_NAMES, ("s", "V", *STATE_UNITS, *DERIVED_UNITS), strict=True))
 """Of an axis without optional parts; those have further states (:data:`~hydro_env.plant.states.ALL_STATES`)."""
 
-LONGEST_PERIOD = 0.02
-"""s; a longer sample may take more inner steps."""
+LONGEST_PERIOD = 0.02  # s; a longer sample may take more inner steps
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -17,11 +17,8 @@ from hydro_env.compiling import inline, named_tuple, tuple_first
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 
-ATMOSPHERIC_PRESSURE = 101_325.0
-"""Pa; the zero of gauge pressures."""
-
-VAPOUR_PRESSURE = -0.9e5
-"""Pa, gauge; a chamber cavitates at this pressure, which is the lowest possible."""
+ATMOSPHERIC_PRESSURE = 101_325.0  # Pa; the zero of gauge pressures
+VAPOUR_PRESSURE = -0.9e5  # Pa, gauge; a chamber cavitates at this pressure, which is the lowest possible
 
 
 class StateInfo(NamedTuple):
@@ -99,8 +96,7 @@ def state_kind(structure: Structure) -> Any:
     return named_tuple("AxisState", [*State._fields, *extra], __name__) if extra else State
 
 
-COMPLETE = state_kind(Structure(lines=True, tip=True))
-"""The states of an axis that has every part."""
+COMPLETE = state_kind(Structure(lines=True, tip=True))  # the states of an axis that has every part
 
 
 def _infos(*kinds: Any) -> dict[str, StateInfo]:
@@ -109,8 +105,7 @@ def _infos(*kinds: Any) -> dict[str, StateInfo]:
 
 
 STATES: dict[str, StateInfo] = _infos(State)
-ALL_STATES: dict[str, StateInfo] = _infos(State, LineState, TipState)
-"""The states of an axis that has every part, in the order of :func:`state_kind`."""
+ALL_STATES: dict[str, StateInfo] = _infos(State, LineState, TipState)  # of every part, in the order of state_kind
 
 N_ALL_STATES = len(ALL_STATES)
 
@@ -144,10 +139,6 @@ def error_weights(p, c):
 
     Full scale: half the stroke, speed without load, supply pressure, slew limit, current at 10 V, volume of the
     accumulator, deflection at breakaway.
-
-    Args:
-        p: physical parameters (:data:`~hydro_env.plant.parameters.Physical`).
-        c: coefficients of the parts of the same plant.
     """
     pressure = 3.0 / p.supply_pressure
     return State(
@@ -170,9 +161,6 @@ def valid_range(c):
 
     A steel cylinder withstands no more than 2000 bar; the accumulator must hold gas and oil; the piston may enter an
     end stop by half the depth that the dead volume allows.
-
-    Args:
-        c: coefficients of the plant (:class:`~hydro_env.plant.equations.Coefficients`).
     """
     stop = c.end_stop_position
     dead_volume = min(c.volume_a0 - c.area_a * stop, c.volume_b0 - c.area_b * stop)

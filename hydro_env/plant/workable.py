@@ -18,17 +18,10 @@ from hydro_env.plant.simulate import DERIVED_NAMES, valid_ranges
 from hydro_env.plant.states import STATE_NAMES, state_kind
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
-LEAST_TRAVEL = 1e-3
-"""m; a rig must be able to move this far from the free length of its spring."""
-
-LEAST_OPENING = 0.01
-"""Smallest allowed spool position at 10 V."""
-
-MOST_STEPS = 4000
-"""Largest allowed number of inner steps in 5 ms."""
-
-STEPS_PERIOD = 5e-3
-"""s; steps are counted over this period."""
+LEAST_TRAVEL = 1e-3  # m; a rig must be able to move this far from the free length of its spring
+LEAST_OPENING = 0.01  # smallest allowed spool position at 10 V
+MOST_STEPS = 4000  # largest allowed number of inner steps in 5 ms
+STEPS_PERIOD = 5e-3  # s; steps are counted over this period
 
 CAUSES = {
     "pressure_a": "cylinder.dead_volume, valve.transition_pressure, a leak, or load.mass on this oil column",
@@ -47,8 +40,7 @@ CAUSES = {
 
 LINES = "lines.length_a, length_b or their volumes"
 
-PLACES = 5
-"""Number of positions over the reachable range; the axis must be able to hold one of them."""
+PLACES = 5  # number of positions over the reachable range; the axis must be able to hold one of them
 
 
 def fastest_rate(parameters: PlantParameters) -> tuple[float, str]:
@@ -122,7 +114,7 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
             f"steps in {1e3 * STEPS_PERIOD:g} ms; the limit is {MOST_STEPS:,} "
             f"({MOST_STEPS * STABLE_PRODUCT / STEPS_PERIOD:.3g} 1/s)"
         )
-    if not _can_rest(parameters):
+    if _rest(parameters) is None:
         raise ConfigurationError(f"{source}: {_why_no_rest(parameters)}")
 
 
@@ -162,10 +154,6 @@ def _rest(parameters: PlantParameters) -> dict[str, float] | None:
     return None
 
 
-def _can_rest(parameters: PlantParameters) -> bool:
-    return _rest(parameters) is not None
-
-
 def _why_no_rest(parameters: PlantParameters) -> str:
     """Message with the figure that prevents holding any position, and its limit."""
     supply, leakage = parameters.supply, parameters.leakage
@@ -182,7 +170,7 @@ def _why_no_rest(parameters: PlantParameters) -> str:
         )
     for law in (*LEAK_LAWS.values(), ROD_SEAL):
         name, value, tight = law.parameter, getattr(leakage, law.parameter), law.value(0.0)
-        if value != tight and _can_rest(parameters.replace(leakage={name: tight})):
+        if value != tight and _rest(parameters.replace(leakage={name: tight})) is not None:
             return (
                 f"leakage.{name} = {value:.3g} {PARAMETER_UNITS[f'leakage.{name}']}: more oil leaks than the valve "
                 f"feeds from {supply.pressure / 1e5:g} bar, and no position can be held"

@@ -33,8 +33,7 @@ LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
 
 Family = Annotated[str, known_name(REFERENCE_FAMILIES, "family")]
 
-LEAKAGE_LIMIT = 20.0
-"""l/min at 100 bar; a larger leak would mean that the seal is missing."""
+LEAKAGE_LIMIT = 20.0  # l/min at 100 bar; a larger leak would mean that the seal is missing
 
 
 class LeakageDraw(TaskGroup):

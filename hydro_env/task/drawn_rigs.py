@@ -24,8 +24,7 @@ from hydro_env.units import from_unit, rounded
 
 BULK_MODULUS = 1.2e9  # Pa, as nameplates assumes
 DEAD = 0.1  # dead volume, of the swept volume, as nameplates assumes
-HASTE = 2.0
-"""Radians of its oscillation in which the supply's force brings the largest mass to full speed."""
+HASTE = 2.0  # radians of its oscillation in which the supply's force brings the largest mass to full speed
 
 TRIES = 100
 

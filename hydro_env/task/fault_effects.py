@@ -34,11 +34,8 @@ NULL_SHIFT, UNDERLAP, FLOW, HYSTERESIS, TANK, EXTERNAL_LEAK, OFFSET, GAIN, FREEZ
 
 _CONSTANT, _ONSET, _MIXED = (choice(Fault, "schedule", name) for name in ("constant", "onset", "mixed"))
 _SCHEDULES = 3.0  # constant, onset, growth come before "mixed"
-_NUMBERS = 6
-"""Number of random numbers per kind of fault."""
-
-_LOST_SAMPLES = 2_000_000_000
-"""Index of the first drop-out among the numbers of the noise key, beyond those of noise and biases."""
+_NUMBERS = 6  # number of random numbers per kind of fault
+_LOST_SAMPLES = 2_000_000_000  # index of the first drop-out among the numbers of the noise key, beyond noise and biases
 
 FAULT_COLUMNS = tuple(
     Coefficients._fields.index(name)

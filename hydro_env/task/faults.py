@@ -114,11 +114,8 @@ class Faults(Group):
     sensor_dropout: SensorDropout = Field(default_factory=SensorDropout)
 
 
-FAULT_KINDS: tuple[str, ...] = tuple(Faults.model_fields)
-"""Names of the kinds."""
-
-SIGNED_KINDS = ("valve_null_shift", "valve_flow", "sensor_offset", "sensor_gain")
-"""Kinds whose magnitude may be negative."""
+FAULT_KINDS: tuple[str, ...] = tuple(Faults.model_fields)  # names of the kinds
+SIGNED_KINDS = ("valve_null_shift", "valve_flow", "sensor_offset", "sensor_gain")  # their size may be negative
 
 
 def faults_of(kind: str, sensors: Sequence[str] = CHANNELS) -> list[str]:
@@ -131,8 +128,7 @@ def faults_of(kind: str, sensors: Sequence[str] = CHANNELS) -> list[str]:
 FAULTS: tuple[str, ...] = tuple(name for kind in FAULT_KINDS for name in faults_of(kind))
 """Every single fault; those of sensors with the name of the sensor: ``position_offset``, ``pressure_a_freeze``, …"""
 
-KIND_OF_FAULT: dict[str, str] = {name: kind for kind in FAULT_KINDS for name in faults_of(kind)}
-"""Kind of each fault."""
+KIND_OF_FAULT: dict[str, str] = {name: kind for kind in FAULT_KINDS for name in faults_of(kind)}  # kind of each fault
 
 
 def fault_limits(name: str) -> tuple[float, float]:

@@ -67,20 +67,13 @@ from hydro_env.task.record import (
 )
 from hydro_env.task.reference_signals import USER_FAMILY, feasible, fill_reference, fill_usual
 from hydro_env.task.rewards import costs
-from hydro_env.task.schedules import (
-    draw_changing_force,
-    draw_leak,
-    draw_steady_force,
-    follow_schedules,
-    set_leak,
-)
+from hydro_env.task.schedules import draw_changing_force, draw_leak, draw_steady_force, follow_schedules, set_leak
 from hydro_env.task.sensors import Sensors
 from hydro_env.task.settings import choice
 from hydro_env.task.signals import POSITION, draw_biases, follow_motion, lagged, sample, write_observation
 from hydro_env.units import FULL_VOLTAGE
 
-MOST_DRAWS = 200
-"""Largest number of draws of plant, leak and initial position until an episode can begin."""
+MOST_DRAWS = 200  # largest number of draws of plant, leak and initial position until an episode can begin
 
 PREVIOUS, NEW = range(COMMANDS)
 """Columns of the voltage: the previous command acts during the latency, the new one during the rest of the period; of a
@@ -88,8 +81,7 @@ latency above a period its part within a period counts, and both commands are ol
 
 _VALVE = choice(Sensors, "pressures_at", "valve")
 
-_FAMILY_NUMBER = 1_000_000
-"""Index of the reference key's number for the family, beyond the numbers that shape a reference."""
+_FAMILY_NUMBER = 1_000_000  # index of the number for the family, beyond those that shape a reference
 
 
 @inline
@@ -185,6 +177,16 @@ def _at_the_cylinder(state, s, settings):
 
 def _begin(sources, everything, lines):
     def begin_episodes(chosen, task, layout, chances, fixed, physical, record, plant, references, observation):
+        """Begin an episode on the axes ``chosen``, (M,); their records must be zero.
+
+        A plant that cannot hold its initial position is drawn again, :data:`MOST_DRAWS` times at most; ``failure`` in
+        the record gives the reason for the last one.
+
+        Of each rig ``task`` (rigs,) holds :data:`~hydro_env.task.settings.SETTINGS` and ``layout`` (rigs, observations)
+        :data:`~hydro_env.task.signals.LAYOUT`; ``chances`` are :class:`~hydro_env.task.record.Chances`, ``fixed``
+        :class:`~hydro_env.task.record.Fixed`. Written: ``physical`` (N, parameters), and the four arrays of
+        :class:`~hydro_env.task.record.AxisArrays`.
+        """
         assert sources >= 0  # keys numba's cache
         states = plant[:, :FIRST_COEFFICIENT]
         coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
@@ -285,6 +287,7 @@ def _begin(sources, everything, lines):
 
 def _follow(sources):
     def follow(task, record, plant, first, last):
+        """Set leak, faults and external force of some axes for the next period, if any of them changes."""
         assert sources >= 0
         for axis in range(first, last):
             row = record[axis]
@@ -295,6 +298,7 @@ def _follow(sources):
 
 def _step(sources, integrate_part, pressures):
     def step_axes(task, layout, record, plant, reference, observation, actions, first, last):
+        """Advance the axes from ``first`` up to ``last`` by one control period with ``actions``, (N,)."""
         assert sources >= 0
         states = plant[:, :FIRST_COEFFICIENT]
         coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
@@ -359,6 +363,10 @@ def _step(sources, integrate_part, pressures):
 
 def _observe(sources):
     def observe(task, layout, record, reference, observation, before):
+        """Write the observation of one axis whose plant is elsewhere; its record holds signals and command.
+
+        ``reference`` begins now; ``before`` is the position measured one period ago, m; NaN: the episode begins.
+        """
         assert sources >= 0
         row = record[0]
         row.reference = reference[0]
@@ -376,40 +384,7 @@ def step_of(structure: Structure) -> Any:
     return _step(SOURCES + structure.number, integrate_part, _at_the_valve if structure.lines else _at_the_cylinder)
 
 
+# Few tasks have faults, a changing force, or references at which an axis hardly moves; they take long to compile.
 begin_usual, begin_any = _begin(SOURCES, False, VOLUMES), _begin(SOURCES, True, VOLUMES)
-begin_with_lines = _begin(SOURCES + 1, True, WAVES)
+begin_with_lines = _begin(SOURCES + 1, True, WAVES)  # for rigs of which some have lines with waves
 follow, step_axes, observe = _follow(SOURCES), step_of(RIGID), _observe(SOURCES)
-begin_usual.__doc__ = """Begin as :data:`begin_any` does, but without faults, without a changing force, and without the
-families of references at which an axis hardly moves: few tasks have them, and they take long to compile.
-"""
-begin_any.__doc__ = """Begin an episode on the axes ``chosen``, (M,); their records must be zero.
-
-A plant that cannot hold its initial position is drawn again, :data:`MOST_DRAWS` times at most; ``failure`` in the
-record gives the reason for the last one.
-
-Args:
-    chosen: (M,), numbers of axes.
-    task: (rigs,), :data:`~hydro_env.task.settings.SETTINGS`.
-    layout: (rigs, observations), :data:`~hydro_env.task.signals.LAYOUT`.
-    chances: :class:`~hydro_env.task.record.Chances`.
-    fixed: :class:`~hydro_env.task.record.Fixed`.
-    physical: (N, parameters), written.
-    record, plant, references, observation: :class:`~hydro_env.task.record.AxisArrays`, written.
-"""
-follow.__doc__ = """Set leak, faults and external force of the axes from ``first`` up to ``last`` for the next period.
-
-Only axes with a leak that changes, a fault or a changing force need it, before :data:`step_axes`.
-"""
-begin_with_lines.__doc__ = """Begin as :data:`begin_any` does, on rigs of which some have lines with waves."""
-observe.__doc__ = """Write the observation of one axis whose plant is elsewhere; its record holds signals and command.
-
-Args:
-    task, record, observation: as in :data:`begin_any`, one row.
-    layout: (observations,), :data:`~hydro_env.task.signals.LAYOUT`.
-    reference: (samples,), m, from now on.
-    before: position measured one control period ago, m; NaN: the episode begins.
-"""
-step_axes.__doc__ = """Advance the axes from ``first`` up to ``last`` by one control period with ``actions``, (N,).
-
-The other arguments are those of :data:`begin_any`.
-"""

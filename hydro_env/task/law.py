@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
 from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.units import Number, Whole, quantity
 
-FIRST_SEEDS = {"training": 1_000_000_000, "validation": 2_000_000_000, "test": 3_000_000_000}
-"""Seed of the first rig of each split."""
+FIRST_SEEDS = {"training": 1_000_000_000, "validation": 2_000_000_000, "test": 3_000_000_000}  # first rig of each split
 
 MOST_RIGS = 10_000
 
@@ -28,9 +27,8 @@ _CYLINDERS: dict[int, tuple[int, ...]] = {
 }
 
 
-def _share(default: float, description: str) -> float:
-    share: float = quantity(default, "1", f"share of the rigs with {description}", 0.0, 1.0)
-    return share
+def _share(default: float, description: str) -> Any:
+    return quantity(default, "1", f"share of the rigs with {description}", 0.0, 1.0)
 
 
 class StructureLaw(TaskGroup):

@@ -12,11 +12,8 @@ from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.law import RigLaw
 
-STEPS_PER_PACE = 1.54
-"""A *step of the rig* is this part of its pace; in the default task, whose pace is 7.7 ms, it is a control period."""
-
-SLACK = 2.0
-"""Factor by which drawn speeds leave their interval, because valves have steps; frequencies too."""
+STEPS_PER_PACE = 1.54  # steps of the rig in a pace; in the default task (pace 7.7 ms) a step is a control period
+SLACK = 2.0  # factor by which drawn speeds leave their interval, because valves have steps; frequencies too
 
 
 def delay(config: TaskConfig) -> float:
@@ -72,11 +69,7 @@ def outside_law(law: RigLaw, config: TaskConfig) -> str:
     plant = config.plant
     ranges = {
         "bore {} mm": (1e3 * plant.cylinder.bore_diameter, min(law.cylinders), max(law.cylinders)),
-        "stroke {} m": (
-            plant.cylinder.stroke,
-            1e-3 * law.stroke_per_bore[0] * min(law.cylinders),
-            law.longest_stroke,
-        ),
+        "stroke {} m": (plant.cylinder.stroke, 1e-3 * law.stroke_per_bore[0] * min(law.cylinders), law.longest_stroke),
         "supply {} bar": (1e-5 * plant.supply.pressure, min(law.supplies), max(law.supplies)),
         "full speed {} m/s": (full_speed(plant), law.full_speed[0] / SLACK, law.full_speed[1] * SLACK),
         "natural frequency {} Hz": (

@@ -14,8 +14,7 @@ import numpy as np
 
 from hydro_env.compiling import inline
 
-PLANT, LEAKAGE, INITIAL_STATE, REFERENCE, NOISE, DISTURBANCE, LATENCY, FAULT, RIG = range(9)
-"""Sources of randomness; each has its own key in every episode."""
+PLANT, LEAKAGE, INITIAL_STATE, REFERENCE, NOISE, DISTURBANCE, LATENCY, FAULT, RIG = range(9)  # each has its own key
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)

@@ -10,18 +10,11 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from hydro_env.files import Group
 from hydro_env.mistakes import did_you_mean
-from hydro_env.plant.parameters import (
-    MODEL_CODES,
-    PARAMETER_LIMITS,
-    PARAMETER_PATHS,
-    PARAMETER_UNITS,
-    PlantParameters,
-)
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_LIMITS, PARAMETER_PATHS, PARAMETER_UNITS, PlantParameters
 from hydro_env.plant.parts.leakage import LEAK_LAWS
 from hydro_env.units import Number, in_si, written
 
-LEAKAGE_OF_THE_TASK = tuple(f"leakage.{law.parameter}" for law in LEAK_LAWS.values())
-"""Parameters that the group ``leakage`` of the task draws."""
+LEAKAGE_OF_THE_TASK = tuple(f"leakage.{law.parameter}" for law in LEAK_LAWS.values())  # drawn by the task's leakage
 
 FORMS = ("uniform", "log_uniform", "factor", "log_factor")
 Bounds = tuple[Number, Number]
@@ -136,15 +129,12 @@ def own_value(plant: PlantParameters, path: str) -> float:
 
 
 def default_randomisation(plant: PlantParameters | None = None) -> dict[str, Distribution]:
-    """Distributions of the parameters that are not known exactly, relative to a rig.
+    """Distributions of the parameters that are not known exactly, relative to a rig; ``None``: the paper's.
 
     The factors are the ratios of the published ranges to the paper's rig. Two entries are not factors. The leak past
     the rod seal is in l/min at 100 bar on every rig, like the leak past the piston: a tight rod seal has no value to
     multiply. Breakaway friction exceeds Coulomb friction by 40 to 160 % of the rig's own excess, so that it is never
     smaller.
-
-    Args:
-        plant: the rig; ``None`` is the paper's.
     """
     paper = PlantParameters()
     ranges: dict[str, Distribution] = {}

@@ -15,8 +15,7 @@ from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.types import Floats
 
-MOST_LATE = 5
-"""Largest latency of a command in control periods."""
+MOST_LATE = 5  # largest latency of a command in control periods
 
 RECORD = np.dtype(
     [
@@ -66,12 +65,10 @@ RECORD = np.dtype(
 )
 """State of an axis during its episode, except the state of its plant."""
 
-SEEDS = np.dtype([("root", "u8"), ("episode", "i8")])
-"""Source of an axis' random numbers: its root, and the number of its episode."""
+SEEDS = np.dtype([("root", "u8"), ("episode", "i8")])  # root of an axis's random numbers, and number of its episode
 
 
-COMMANDS = 2
-"""Commands in a control period: the previous one acts during the latency, the new one during the rest."""
+COMMANDS = 2  # commands in a control period: the previous one acts during the latency, the new one during the rest
 
 FIRST_COEFFICIENT = N_ALL_STATES
 FIRST_VOLTAGE = FIRST_COEFFICIENT + N_COEFFICIENTS
@@ -116,15 +113,7 @@ class Fixed(NamedTuple):
     faults: Floats  # (N, faults), magnitudes
 
 
-OPTION_NAMES = (
-    "leakage_flow_lpm",
-    "reference",
-    "parameters",
-    "initial_position",
-    "rig",
-    "faults",
-    "reset_mask",
-)
+OPTION_NAMES = ("leakage_flow_lpm", "reference", "parameters", "initial_position", "rig", "faults", "reset_mask")
 """Names of the options of ``reset``."""
 
 FAILURES = (

@@ -286,20 +286,13 @@ USER_FAMILY = REFERENCE_FAMILIES.index("user")
 
 
 fill_reference = function_of_number(tuple(FAMILIES.values()), "row, family, key, start, period, f, limits", "family")
-"""Write the samples of one reference.
+"""Write the samples (samples,), m, of one reference; the family ``user`` leaves the row unchanged.
 
-Args:
-    row: (samples,), m, written.
-    family: index into :data:`REFERENCE_FAMILIES`; ``user`` leaves the row unchanged.
-    key: of the source REFERENCE of this episode.
-    start: initial position, m.
-    period: control period, s.
-    f: :class:`Feasible`.
-    limits: group ``references`` of the task.
+``key`` is that of the source REFERENCE, ``start`` the initial position in m, ``f`` :class:`Feasible`, and ``limits``
+the group ``references`` of the task.
 """
 
-RESTING_FROM = list(FAMILIES).index("pause")
-"""Index of the first family that compiles only when a task draws it or an option names it."""
+RESTING_FROM = list(FAMILIES).index("pause")  # the first family that compiles only when it is drawn or named
 
 fill_usual = function_of_number(
     tuple(FAMILIES.values())[:RESTING_FROM], "row, family, key, start, period, f, limits", "family"

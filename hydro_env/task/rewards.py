@@ -24,20 +24,12 @@ class Costs(NamedTuple):
     failure: float
 
 
-REWARD_TERMS = Costs._fields
-"""Names of the reward terms, as ``info["reward_terms"]`` lists them."""
+REWARD_TERMS = Costs._fields  # names of the reward terms, as info["reward_terms"] lists them
 
 
 @inline
 def costs(row, change, failed, settings):
-    """:class:`Costs` of the control period that has just ended.
-
-    Args:
-        row: record of the axis (:data:`~hydro_env.task.record.RECORD`).
-        change: change of the command since the previous period.
-        failed: whether the axis has failed.
-        settings: of the task (:data:`~hydro_env.task.settings.SETTINGS`).
-    """
+    """:class:`Costs` of the control period that has just ended, with a ``change`` of the command since the last one."""
     weights = settings.reward
     error = row.reference - row.position - settings.reward_bias_share * row.bias[_POSITION]
     scale = settings.error_scales[np.int64(row.reference_family)]

@@ -20,11 +20,8 @@ from hydro_env.task.randomisation import (
 )
 from hydro_env.task.sensors import SCALED_FIELDS, Sensors
 
-USUAL_RANGES = (100e5, 160e5, 250e5, 400e5, 600e5, 1000e5)
-"""Pa; upper ends of the ranges of pressure sensors on sale."""
-
-SHARE_OF_ACCELERATION = 0.25
-"""Largest acceleration of smooth references, as a share of the acceleration that the supply can give."""
+USUAL_RANGES = (100e5, 160e5, 250e5, 400e5, 600e5, 1000e5)  # Pa; upper ends of the ranges of pressure sensors on sale
+SHARE_OF_ACCELERATION = 0.25  # of what the supply can give: largest acceleration of smooth references
 
 
 class Rig(NamedTuple):
@@ -44,15 +41,10 @@ class _RigFile(PlantParameters):
 
 
 def read_rig(given: str | Path, folder: Path | None = None) -> Rig:
-    """A rig by its name in ``configs/rigs`` or by the path of its file.
-
-    Args:
-        given: name or path.
-        folder: base of a relative path; default: the current folder.
+    """A rig by its name in ``configs/rigs`` or by the path of its file, relative to ``folder``.
 
     Raises:
-        ConfigurationError: the rig does not exist, the file is unreadable, a key is unknown, a value is
-            impossible, or the rig cannot work.
+        ConfigurationError: the rig does not exist, or its file is unreadable or wrong (:func:`rig_from`).
     """
     file = config_file("rigs", given, folder)
     return rig_from(read_yaml(file), str(file))
@@ -62,8 +54,7 @@ def rig_from(values: Mapping[str, Any], source: str) -> Rig:
     """A rig from the groups of its file.
 
     Raises:
-        ConfigurationError: a key is unknown, a value is impossible, or the rig cannot work; the message names
-            ``source``.
+        ConfigurationError: a key is unknown, a value is impossible, or the rig cannot work.
     """
     from hydro_env.plant.workable import refuse_unworkable  # compiled code, needed only for a rig from a file
 
@@ -84,8 +75,7 @@ def rig_from(values: Mapping[str, Any], source: str) -> Rig:
     return Rig(plant, checked.randomisation, sensors, source)
 
 
-DRAWN = ("plant", "control_period", "command_latency", "command_latency_range")
-"""Settings of a task that a law draws with the rig."""
+DRAWN = ("plant", "control_period", "command_latency", "command_latency_range")  # a law draws them with the rig
 
 
 def law_of(given: str | Path) -> dict[str, Any] | None:
@@ -188,10 +178,6 @@ def moved(task: Any, rig: Rig) -> dict[str, Any]:
     """A task on another rig: settings that followed from the old rig follow from the new one; the user's settings stay.
 
     Sensor settings in the file of the new rig take precedence over those that follow from its size.
-
-    Args:
-        task: a ``TaskConfig``.
-        rig: the new rig.
 
     Raises:
         ConfigurationError: the task draws a parameter from a range that does not contain the rig's own value.

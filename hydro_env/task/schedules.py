@@ -28,8 +28,7 @@ _CHANGING = 3.0  # kinds of a changing force: step, pulse, sine, in this order a
 
 _LAWS = tuple(LEAK_LAWS[name] for name in get_args(LeakLaw))
 _AT_TEST = tuple(law.at_test for law in _LAWS)
-LEAK_COLUMNS = tuple(Coefficients._fields.index(law.coefficient) for law in _LAWS)
-"""Coefficients of the plant that the leak changes, one per law."""
+LEAK_COLUMNS = tuple(Coefficients._fields.index(law.coefficient) for law in _LAWS)  # that the leak changes, by law
 
 _EXTERNAL_FORCE = Coefficients._fields.index("external_force")
 

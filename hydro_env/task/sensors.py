@@ -28,13 +28,7 @@ class Sensor(Group):
         return self
 
 
-SCALED_FIELDS = tuple(name for name in Sensor.model_fields if name != "fitted")
-"""Fields of a sensor with the unit of its signal."""
-
-
-def scaled(sensor: Sensor, factor: float) -> Sensor:
-    """The same sensor for a signal that is larger by a factor."""
-    return sensor.model_copy(update={name: factor * getattr(sensor, name) for name in SCALED_FIELDS})
+SCALED_FIELDS = tuple(name for name in Sensor.model_fields if name != "fitted")  # in the unit of its signal
 
 
 def _current_loop(span: float) -> float:
@@ -106,15 +100,11 @@ class Sensors(Group):
         }
 
 
-CHANNELS = tuple(CHANNEL_UNITS)
-"""Names of the measured signals."""
+CHANNELS = tuple(CHANNEL_UNITS)  # names of the measured signals
 
 SENSORS = ("position", "pressure_a", "pressure_b", "spool_position")
 """Sensors that estimator, detectors, recordings and exports read; windows of signals hold them in this order, and then
 the command. A further channel does not concern them."""
 
-POSITION, PRESSURE_A, PRESSURE_B, SPOOL, COMMAND = range(len(SENSORS) + 1)
-"""Rows of a window of signals."""
-
-SENSOR_COLUMNS = [CHANNELS.index(name) for name in SENSORS]
-"""Columns of these sensors in arrays with one column per channel."""
+POSITION, PRESSURE_A, PRESSURE_B, SPOOL, COMMAND = range(len(SENSORS) + 1)  # rows of a window of signals
+SENSOR_COLUMNS = [CHANNELS.index(name) for name in SENSORS]  # in arrays with a column per channel

@@ -19,11 +19,8 @@ from hydro_env.task.record import table
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.sensors import CHANNELS, Sensor
 
-ERROR_INTEGRAL_TIME = 0.5
-"""s; time constant of the observed leaky integral of the error."""
-
-ERROR_INTEGRAL_LIMIT = 0.010
-"""m s; the observed integral saturates here."""
+ERROR_INTEGRAL_TIME = 0.5  # s; time constant of the observed leaky integral of the error
+ERROR_INTEGRAL_LIMIT = 0.010  # m s; the observed integral saturates here
 
 
 def _kind_of(annotation: Any) -> Any:
@@ -94,8 +91,7 @@ _DERIVED = np.dtype(
         ("integral_limit", "f8"),
     ]
 )
-SETTINGS = np.dtype(_TASK.descr + _DERIVED.descr)
-"""Every number, choice and range of :class:`TaskConfig`, and derived values."""
+SETTINGS = np.dtype(_TASK.descr + _DERIVED.descr)  # every number, choice and range of TaskConfig, and derived values
 
 
 def settings_of(config: TaskConfig) -> NDArray[Any]:

@@ -28,11 +28,8 @@ POSITION, PRESSURE_A, PRESSURE_B, SPOOL_POSITION = (
     CHANNELS.index(name) for name in ("position", "pressure_a", "pressure_b", "spool_position")
 )
 
-FIRST_BIAS = 1_000_000_000
-"""Index of the first bias among the numbers of the noise key, far beyond those of the steps."""
-
-Signals = named_tuple("Signals", CHANNELS, __name__)
-"""One value per measured signal."""
+FIRST_BIAS = 1_000_000_000  # index of the first bias among the numbers of the noise key, far beyond those of the steps
+Signals = named_tuple("Signals", CHANNELS, __name__)  # one value per measured signal
 
 
 def _entries(half: float) -> tuple[tuple[str, str, float, float], ...]:
@@ -150,9 +147,7 @@ def data_sheet(config: TaskConfig) -> dict[str, float]:
 def layout_of(config: TaskConfig, law: RigLaw | None = None) -> NDArray[Any]:
     """The layout of the observation for compiled code, one row (:data:`LAYOUT`) per entry.
 
-    Args:
-        config: the task; on one of its rigs if it draws them.
-        law: from which the rig was drawn; ``None``: the task has one rig.
+    With a law the task is that on one of the rigs that the law draws.
     """
     names, units, scale, limit = observation_layout(config) if law is None else _own_layout(config, law)
     layout = table(len(scale), LAYOUT)

@@ -19,8 +19,7 @@ from hydro_env.task.signals import observation_layout
 
 Observation = NDArray[np.floating[Any]]
 
-MOVING = 0.04
-"""Estimated speed, as a fraction of full speed, from which an axis moves; below it may be noise."""
+MOVING = 0.04  # estimated speed, as a fraction of full speed, from which an axis moves; below it may be noise
 
 
 class Controller(Protocol):
@@ -106,8 +105,7 @@ class ObservationLayout:
     def si(self, observation: Observation, name: str) -> NDArray[np.float64]:
         """A signal in SI units from a batch of observations (N, n)."""
         column = self.index(name)
-        values: NDArray[np.float64] = observation[:, column].astype(np.float64) * self.scale[column]
-        return values
+        return observation[:, column].astype(np.float64) * self.scale[column]
 
     def speed_at_start(self, observation: Observation, full_speed: float) -> NDArray[np.float64]:
         """Measured speed of axes that a controller takes over, m/s, (N,); 0 for those that rest but for noise."""
@@ -137,8 +135,7 @@ class ObservationLayout:
         """Future reference minus present reference, m, shape (N, previews)."""
         columns = [i for i, name in enumerate(self.names) if name.startswith("reference_preview_")]
         scale = np.array([self.scale[i] for i in columns], dtype=np.float64)
-        values: NDArray[np.float64] = observation[:, columns].astype(np.float64) * scale
-        return values
+        return observation[:, columns].astype(np.float64) * scale
 
 
 def shown_time(time: float, period: float) -> float:
@@ -205,11 +202,8 @@ class ClassicalController:
         config: the task.
     """
 
-    estimate_names: tuple[str, ...] = ()
-    """Names of the values of :meth:`estimates`."""
-
-    memory: type[Any]
-    """Class of its memory, whose fields tables of controllers name."""
+    estimate_names: tuple[str, ...] = ()  # names of the values of estimates
+    memory: type[Any]  # class of its memory, whose fields tables of controllers name
 
     def __init__(self, gains: Any, config: TaskConfig) -> None:
         self.gains, self.config, self.layout = gains, config, ObservationLayout.of(config)

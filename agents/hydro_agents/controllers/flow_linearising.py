@@ -22,11 +22,8 @@ from hydro_env.task.paces import delay, full_speed, pace
 from hydro_env.types import Floats
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
-_REVERSAL = 0.3
-"""Reference speed, as a fraction of the Stribeck speed, around which the friction changes its sign."""
-
-_LEAST_GAIN = 0.3
-"""Lower limit of the estimated flow gain, as a fraction of the data sheet's."""
+_REVERSAL = 0.3  # reference speed, as a fraction of the Stribeck speed, around which the friction changes its sign
+_LEAST_GAIN = 0.3  # lower limit of the estimated flow gain, as a fraction of the data sheet's
 
 
 class FlowLinearisingGains(Group):

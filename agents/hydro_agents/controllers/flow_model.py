@@ -19,11 +19,8 @@ from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 
-_LOWEST_DROP = 0.02
-"""Lower limit of the pressure drop over an edge, as a fraction of the supply; below it the opening would saturate."""
-
-_SUPPLIES = (0.8, 1.5)
-"""Range of the supply pressure, as fractions of the data sheet's."""
+_LOWEST_DROP = 0.02  # least pressure drop over an edge, as a fraction of the supply: below, the opening would saturate
+_SUPPLIES = (0.8, 1.5)  # range of the supply pressure, as fractions of the data sheet's
 
 
 class Flow(NamedTuple):

@@ -15,8 +15,7 @@ from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.types import Floats
 
-NOISES = 2.0
-"""Half width of the ramp across the dead band of a valve, in standard deviations of the command's noise."""
+NOISES = 2.0  # half width of the ramp across the dead band of a valve, in standard deviations of the command's noise
 
 
 class PIDGains(Group):
@@ -148,8 +147,7 @@ class PID(ClassicalController):
         opening = command - self._null
         on_ramp = opening * (self._ramp / (self._ramp + self._added))
         beyond = opening - np.copysign(self._added, opening)
-        inverse: Floats = self._null + np.where(np.abs(on_ramp) < self._ramp, on_ramp, beyond)
-        return inverse
+        return self._null + np.where(np.abs(on_ramp) < self._ramp, on_ramp, beyond)
 
     def _feedforward(self, speed: Floats) -> Floats:
         """Command for a speed of the reference in m/s, (N,)."""

@@ -22,14 +22,9 @@ CONTROL_PERIOD = 5e-3  # s
 
 COMMAND_LATENCY = 1e-3  # s, from sampling to the new command
 
-REACH_SHARE = 0.9
-"""Share of the reachable range over which a position loop is examined."""
-
-PLACES = 9
-"""Number of positions at which it is examined there."""
-
-_NEUTRAL = 1e-7
-"""Excess of a spectral radius over 1 that is treated as rounding."""
+REACH_SHARE = 0.9  # share of the reachable range over which a position loop is examined
+PLACES = 9  # number of positions at which it is examined there
+_NEUTRAL = 1e-7  # excess of a spectral radius over 1 that is treated as rounding
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import SIGNALS
 
-STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3
-"""Travel per second in m/s: below the first value the axis stands, from the second on it moves."""
-
+STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3  # m/s; below the first the axis stands, from the second on it moves
 _SPAN = 0.1  # averaging time in s of the position before its travel is computed, which removes the noise
 
 

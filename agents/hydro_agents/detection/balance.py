@@ -27,14 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.balance_parts import (
-    best_valve,
-    factor,
-    hold,
-    spool_between,
-    substitute,
-    whiten,
-)
+from hydro_agents.detection.balance_parts import best_valve, factor, hold, spool_between, substitute, whiten
 from hydro_agents.detection.sheet import POINTS, Sheet, Unknowns
 from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_replacer
 from hydro_env.plant.equations import Coefficients

@@ -15,8 +15,7 @@ from hydro_env.task.sensors import COMMAND, SENSORS, SPOOL
 
 LONGEST_GAP = 5  # samples; a reading that stays at the lower end of its range for longer is valid
 
-FAR_FROM_END, FAR_FROM_END_SPOOL = 0.05, 0.3
-"""Fraction of a sensor's range; a reading that falls by more within one period is a lost sample."""
+FAR_FROM_END, FAR_FROM_END_SPOOL = 0.05, 0.3  # share of a range; a reading that falls by more within a period is lost
 
 SHORTEST, FEWEST = 0.1, 20
 """s, and samples: shortest repetition of one reading that marks a sensor as stuck. With noise of one acquisition step,

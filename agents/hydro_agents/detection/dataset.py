@@ -34,8 +34,7 @@ LABEL_OF_FAULT = {
 }
 """Index of the label of each fault."""
 
-TRAINED_FAULTS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")
-"""Faults of the training; a stuck sensor is found without the network."""
+TRAINED_FAULTS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")  # a stuck one needs no network
 
 LEAK_COURSES = ("constant", "onset", "growth", "orifice")
 """Leaks of the training: constant laminar gap, beginning or growing within the window, constant orifice."""
@@ -63,9 +62,7 @@ HEALTHY_SHARE, SECOND_FAULT, AT_START, SMALL = 0.5, 0.1, 0.2, 0.35
 """Shares: of healthy axes, of faulty axes with a second fault, of windows at the start of a run, of leaks that are
 drawn from the healthy bound upwards; the other leaks are drawn from three times that bound upwards."""
 
-NOISY, LEAST_NOISE, MOST_NOISE = 0.3, 0.7, 1.6
-"""Share of chunks with other sensor noise, and its range as a factor on the task's."""
-
+NOISY, LEAST_NOISE, MOST_NOISE = 0.3, 0.7, 1.6  # share of chunks with other sensor noise, and its range as a factor
 LATEST = 0.9  # latest onset of a leak, as a fraction of the window
 
 
@@ -284,8 +281,7 @@ def _leaks(generator: np.random.Generator, config: TaskConfig, count: int) -> ND
     low = np.where(generator.random(count) < SMALL, bound, 3.0 * bound)
     low = np.where(healthy, LEAST_LEAK, low)
     high = np.where(healthy, bound, min(LARGEST_LEAK, largest))
-    size: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
-    return size
+    return np.exp(generator.uniform(np.log(low), np.log(high)))
 
 
 def draw_faults(

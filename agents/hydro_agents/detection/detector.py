@@ -32,9 +32,7 @@ from hydro_env.task.faults import KIND_OF_FAULT
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
 
-SIGNALS = (*SENSORS, "previous_command")
-"""Measured signals of a window, in this order."""
-
+SIGNALS = (*SENSORS, "previous_command")  # measured signals of a window, in this order
 HALF_WIDTH = 1.645  # half width of a 90 % interval, in standard deviations
 
 SMOOTHED = 7  # readings of a recorded supply or tank pressure that are averaged: their noise adds up in the travel
@@ -44,8 +42,7 @@ AUXILIARY = ("supply_pressure", "tank_pressure", "flow", "oil_temperature")
 not among the five of a window. The flow is that into chamber a: of a flow meter, or of a pump with known displacement.
 """
 
-RECORDED = {"supply.pressure": "supply_pressure", "supply.tank_pressure": "tank_pressure"}
-"""Unknowns that recorded pressures replace, and these pressures."""
+RECORDED = {"supply.pressure": "supply_pressure", "supply.tank_pressure": "tank_pressure"}  # what replaces an unknown
 
 
 class Worded(IntEnum):
@@ -95,8 +92,7 @@ def _cause_of_kind(kind: str) -> Cause:
     return {"tank_pressure": Cause.RETURN_LINE, "external_leak": Cause.EXTERNAL_LEAK}.get(kind, Cause.SENSOR)
 
 
-CAUSE_OF_FAULT = {name: _cause_of_kind(kind) for name, kind in KIND_OF_FAULT.items()}
-"""The cause that names each fault of :mod:`hydro_env.task.faults`."""
+CAUSE_OF_FAULT = {name: _cause_of_kind(kind) for name, kind in KIND_OF_FAULT.items()}  # by the name of the fault
 
 
 @dataclass(frozen=True)
@@ -111,8 +107,7 @@ class Windows:
     begin: Floats  # (N,), s; NaN: unknown
     end: Floats  # (N,), s
 
-    auxiliary: Mapping[str, Floats] = field(default_factory=dict)
-    """The recorded ones of :data:`AUXILIARY` by name, each (N, T); NaN: not recorded."""
+    auxiliary: Mapping[str, Floats] = field(default_factory=dict)  # the recorded ones of AUXILIARY, each (N, T)
 
     @classmethod
     def of(cls, signals: NDArray[Any]) -> Windows:
@@ -305,8 +300,7 @@ class Detector(Protocol):
     A detector with a memory of earlier windows is copied with ``deepcopy`` before it reads another run.
     """
 
-    threshold: float | None
-    """Score at which it reports a leak; ``None``: the protocol computes it from validation windows."""
+    threshold: float | None  # score at which it reports a leak; None: the protocol computes it from validation windows
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """The reason why it cannot read windows of ``samples`` samples of a task; empty if it can."""

@@ -9,8 +9,7 @@ from hydro_agents.detection.detector import Detector
 from hydro_env import ConfigurationError
 from hydro_env.files import Group
 
-ESTIMATOR = "hydro_rig.estimation.estimator:EstimatorDetector"
-"""A detector of the package above this one: it comes by name."""
+ESTIMATOR = "hydro_rig.estimation.estimator:EstimatorDetector"  # of the package above this one: it comes by name
 
 
 class DetectorChoice(Group):

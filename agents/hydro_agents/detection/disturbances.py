@@ -25,8 +25,7 @@ Span = tuple[float, float]
 SUPPLY, TANK, PRESSURE_A, PRESSURE_B = range(4)
 """Rows of a course: factor on the supply pressure less 1, and additions to the tank pressure and to both readings."""
 
-NOTICEABLE = np.array([0.01, 0.5e5, 1e5, 1e5])
-"""Range of each row within a window from which the window counts as disturbed; pressures in Pa."""
+NOTICEABLE = np.array([0.01, 0.5e5, 1e5, 1e5])  # range of each row from which a window counts as disturbed; Pa
 
 PRESSURES = [SIGNALS.index("pressure_a"), SIGNALS.index("pressure_b")]
 _RELIEF, _TANK = (Coefficients._fields.index(name) for name in ("relief_pressure", "tank_pressure"))

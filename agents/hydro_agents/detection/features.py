@@ -82,12 +82,10 @@ FEATURES = (
 SPREAD = FEATURES.index("spread of position")
 STILL = np.log10(3e-4)  # the axis stands still if this feature is below this value
 
-CHANGE = FEATURES.index("change of leak")
-"""The feature that separates windows with a constant leak from windows with a changing one."""
+CHANGE = FEATURES.index("change of leak")  # separates windows with a constant leak from others
 
 
-STILL_COMMAND = 2e-3
-"""Change of the command within one period below which the spool should be at the commanded position."""
+STILL_COMMAND = 2e-3  # change of the command within a period below which the spool should be at the commanded position
 
 FULL_COMMAND = 0.999
 

@@ -28,16 +28,12 @@ from hydro_env.task.sensors import SENSORS, SPOOL
 
 KIND = "leakage head"
 
-SHORTEST_WINDOW, LONGEST_WINDOW = 50, 1_000_000
-"""Allowed numbers of observations in a window; fewer carry no information, and more must be a mistake."""
+SHORTEST_WINDOW, LONGEST_WINDOW = 50, 1_000_000  # observations; fewer carry no information
 
 LARGEST_WIDTH, LAYERS = 1024, 3
 
-OUTSIDE, OUTPUTS = len(LABELS), len(LABELS) + 4
-"""Outputs of the network: the logits of the labels, that of a disturbance, and three numbers for the quantiles."""
-
-UPDATES_PER_WINDOW = 16
-"""Number of new estimates of ``predict`` per window; between two estimates it repeats the last one."""
+OUTSIDE, OUTPUTS = len(LABELS), len(LABELS) + 4  # the logit of a disturbance; three numbers for the quantiles
+UPDATES_PER_WINDOW = 16  # number of new estimates of predict per window; between two estimates it repeats the last one
 
 SMALLEST_FLOW, LARGEST_FLOW = 0.01, 100.0
 """In the rig's unit of leaks (:func:`~hydro_agents.detection.sheet.leak_scale`); smaller leaks count as none: an
@@ -147,8 +143,7 @@ def standardised(features: NDArray[np.float32], mean: NDArray[Any], scale: NDArr
 
 def probabilities(output: NDArray[np.float64]) -> NDArray[np.float64]:
     """Probability of each label, (N, labels)."""
-    result: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-output[:, : len(LABELS)]))
-    return result
+    return 1.0 / (1.0 + np.exp(-output[:, : len(LABELS)]))
 
 
 class LeakageHead:

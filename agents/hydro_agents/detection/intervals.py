@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SIZES = np.linspace(-2.0, 0.7, 10)
-"""log10 of the true sizes, l/min at 100 bar, for which the distances are stored; between them they are interpolated."""
+SIZES = np.linspace(-2.0, 0.7, 10)  # log10 of the true sizes, l/min at 100 bar, whose distances are stored
 
 WIDTHS = 3
 GROUPS = 2 * WIDTHS
@@ -29,10 +28,7 @@ FEWEST, REACH = 40, 0.2  # smallest number of windows for a size; largest distan
 def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
     """The 5, 50 and 95 % quantiles (N, 3) of log10 of the flow, from the outputs of the network."""
     middle, below, above = output[:, -3:].T
-    result: NDArray[np.float64] = np.column_stack(
-        [middle - np.logaddexp(0.0, below - 2.0), middle, middle + np.logaddexp(0.0, above - 2.0)]
-    )
-    return result
+    return np.column_stack([middle - np.logaddexp(0.0, below - 2.0), middle, middle + np.logaddexp(0.0, above - 2.0)])
 
 
 def groups(
@@ -47,8 +43,7 @@ def groups(
         changing: smallest change of a leak that counts as changing.
     """
     width = np.searchsorted(widths, quantiles[:, 2] - quantiles[:, 0])
-    result: NDArray[np.int64] = WIDTHS * (change > changing).astype(np.int64) + width
-    return result
+    return WIDTHS * (change > changing).astype(np.int64) + width
 
 
 def intervals(quantiles: NDArray[np.float64], distance: NDArray[Any]) -> NDArray[np.float64]:

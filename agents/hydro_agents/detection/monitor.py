@@ -16,8 +16,7 @@ from hydro_env import ConfigurationError, TaskConfig
 
 HEAD_FILE = "leakage_head"
 
-OTHER_CAUSES = tuple(cause for cause in Cause if Cause.INTERNAL_LEAK < cause < Cause.UNKNOWN)
-"""Causes that the head names besides a leak past the piston."""
+OTHER_CAUSES = tuple(cause for cause in Cause if Cause.INTERNAL_LEAK < cause < Cause.UNKNOWN)  # that the head names too
 
 _OTHER_LABELS = [cause.word.replace(" ", "_") for cause in OTHER_CAUSES]
 

@@ -16,13 +16,11 @@ from hydro_env.types import Floats
 
 Span = tuple[float, float]
 Change = Callable[[TaskConfig], TaskConfig]
-Make = Callable[[TaskConfig, int, int], Controller]
-"""Makes the controller of the axes from the task, the number of axes and a seed."""
+Make = Callable[[TaskConfig, int, int], Controller]  # the controller of the axes from task, number of axes and seed
 
 SLOWER = 12.0
 SMALLEST_STEP = 1e-6  # m; steps of this size count as rest
-WAVES = ("sine", "square", "noise")
-"""Waves that may be added to the command; noise is a new random level in each half period."""
+WAVES = ("sine", "square", "noise")  # that may be added to the command; noise is a new level in each half period
 
 
 def at_rest(config: TaskConfig) -> TaskConfig:
@@ -58,11 +56,8 @@ class _Operator:
     They come beside the command that holds the initial position.
     """
 
-    start: Callable[[Floats], None]
-    """Prepare for the episodes, from the error (N,) in strokes."""
-
-    act: Callable[[Floats], Floats]
-    """Commands (N,) from the error."""
+    start: Callable[[Floats], None]  # prepare for the episodes, from the error (N,) in strokes
+    act: Callable[[Floats], Floats]  # commands (N,) from the error
 
     def __init__(self, config: TaskConfig) -> None:
         self.layout, self.control_period = ObservationLayout.of(config), config.control_period

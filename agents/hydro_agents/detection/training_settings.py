@@ -14,8 +14,7 @@ from hydro_env.task.law import RigLaw
 
 RISE = 0.05  # part of the training during which the learning rate rises
 
-LEAST_LEAK, LARGEST_LEAK = 0.003, 5.0
-"""Leaks of the training, l/min at 100 bar on the paper's rig; they grow with the valve's flow."""
+LEAST_LEAK, LARGEST_LEAK = 0.003, 5.0  # l/min at 100 bar on the paper's rig; they grow with the valve's flow
 
 
 class HeadTrainingSettings(Group):

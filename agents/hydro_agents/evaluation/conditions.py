@@ -93,8 +93,7 @@ class Protocol(Group, Generic[AnyCondition]):
 
     who: ClassVar[str] = "controller"  # what takes part; the name of its column in the tables
     parts: ClassVar[tuple[str, ...]]  # tables of the rows of its jobs, the main one first
-    unchanged: ClassVar[frozenset[str]] = frozenset({"group", "label", "controllers"})
-    """Fields of a condition that change nothing of the axes."""
+    unchanged: ClassVar[frozenset[str]] = frozenset({"group", "label", "controllers"})  # fields that change no axis
 
     kind: str
     title: str

@@ -136,9 +136,4 @@ def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
     for name, own, ratios in beside_untuned(rows, "agent"):
         returns: NDArray[np.float64] = own["return"].to_numpy()
         spread = float(np.sqrt(np.mean(own["return_sd"] ** 2 + (returns - returns.mean()) ** 2)))
-        yield [
-            name,
-            *ratios,
-            f"{int(own['failures'].sum())}",
-            f"{returns.mean():.1f} ± {spread:.1f}",
-        ]
+        yield [name, *ratios, f"{int(own['failures'].sum())}", f"{returns.mean():.1f} ± {spread:.1f}"]

@@ -24,11 +24,8 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
 from hydro_env.units import Number
 
-HEALTHY = 0.0
-"""Level of leaks that are drawn from the healthy range of the task."""
-
-LEAK_BOUND = "hydro_rig.estimation.known_windows:leak_bound"
-"""The Cramér–Rao bound is of the package above this one: it comes by name."""
+HEALTHY = 0.0  # level of leaks that are drawn from the healthy range of the task
+LEAK_BOUND = "hydro_rig.estimation.known_windows:leak_bound"  # of the package above this one: it comes by name
 
 Level = Annotated[Number, between(HEALTHY, LEAKAGE_LIMIT, " l/min")]
 
@@ -140,8 +137,7 @@ class LeakProtocol(Protocol[LeakCondition]):
         return known | {"duration_s": condition.duration, "trained": ACTING[condition.acting].trained}
 
 
-READ = ("score", "flow_lpm", "low_lpm", "high_lpm")
-"""Columns of a reading, NaN in a window without an answer; besides, ``otherwise`` is its cause."""
+READ = ("score", "flow_lpm", "low_lpm", "high_lpm")  # of a reading, NaN without an answer; otherwise is its cause
 
 
 def windows(protocol: LeakProtocol, chosen: Mapping[str, Detector]) -> Iterator[Cell]:

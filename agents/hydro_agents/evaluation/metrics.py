@@ -134,8 +134,7 @@ _METRICS = (
     Metric("failed", "1", "Failed runs", "1 if the axis failed", shown_unit="%", factor=100.0, cost=True),
 )
 
-METRICS = {metric.name: metric for metric in _METRICS}
-"""Every metric of an episode."""
+METRICS = {metric.name: metric for metric in _METRICS}  # every metric of an episode
 
 COMPARED = {
     f"{metric.ratio}_ratio": metric for metric in sorted(METRICS.values(), key=lambda m: not m.cost) if metric.ratio

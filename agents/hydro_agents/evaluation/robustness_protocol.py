@@ -93,8 +93,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
         128, ge=1, le=2048, description="cases of a job; fixed, so that no result depends on the machine"
     )
     standstill_leak_levels: Levels = Field(
-        (0.03, 1.0, 8.0),
-        description="l/min; search for limit cycles under each condition without its own leak levels",
+        (0.03, 1.0, 8.0), description="l/min; search for limit cycles under each condition without its own leak levels"
     )
 
     @model_validator(mode="after")

@@ -88,8 +88,7 @@ class Results:
 
 TableFunction = Callable[[Results], pd.DataFrame]
 _TABLES: dict[str, dict[str, TableFunction]] = {}
-_MODULES = {"robustness": "tracking_tables", "leakage": "leak_tables"}
-"""Modules with the tables of a kind of protocol."""
+_MODULES = {"robustness": "tracking_tables", "leakage": "leak_tables"}  # modules with the tables of a kind of protocol
 
 
 def table(name: str) -> Callable[[TableFunction], TableFunction]:

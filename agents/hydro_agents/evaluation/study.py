@@ -99,8 +99,7 @@ class StudySettings(Group):
         min_length=1, description="by name; the first one is the baseline of the comparison"
     )
     leakage_head: HeadTrainingSettings = Field(
-        default_factory=HeadTrainingSettings,
-        description="for hydro train head, with task and controllers of the study",
+        default_factory=HeadTrainingSettings, description="for hydro train head, with task and controllers of the study"
     )
     evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
 

@@ -33,18 +33,14 @@ from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_text, write_yaml
 
 CONFIG_FILE = "study.yaml"
-TUNED_FILE = "tuned_study.yaml"
-"""The study with the tuned gains, for `hydro evaluate --config` and `hydro train --config`."""
+TUNED_FILE = "tuned_study.yaml"  # the study with the tuned gains, for hydro evaluate --config and hydro train --config
 
 WEIGHTS = "policy"
 CHECKPOINTS = "checkpoint*"
-TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")
-"""Files that the training of a controller writes; the names of checkpoints begin with ``checkpoint``."""
-
+TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")  # of one controller
 STANDSTILL_CASES = 16  # at which the tuned gains are searched for limit cycles
 
-TRAINED_BY = ("seed", "task", "controllers")
-"""Settings on which trained weights depend; the others may change when a study resumes."""
+TRAINED_BY = ("seed", "task", "controllers")  # what weights depend on; the rest may change when a study resumes
 
 
 def labels_of(study: StudySettings, name: str, seeds: range) -> dict[str, int]:
@@ -64,11 +60,7 @@ def files_of(study: StudySettings, seeds: range) -> list[str]:
 
 
 def run_study(
-    study: StudySettings,
-    folder: Path,
-    seeds: range,
-    display: ProgressDisplay,
-    facts: Sequence[tuple[str, str]] = (),
+    study: StudySettings, folder: Path, seeds: range, display: ProgressDisplay, facts: Sequence[tuple[str, str]] = ()
 ) -> Results:
     """Run all phases that are not finished in the folder.
 
@@ -139,12 +131,7 @@ def try_out(study: StudySettings) -> None:
 
 
 def _trained(
-    study: StudySettings,
-    label: str,
-    folder: Path,
-    seed: int,
-    known: Mapping[str, Controller],
-    display: ProgressDisplay,
+    study: StudySettings, label: str, folder: Path, seed: int, known: Mapping[str, Controller], display: ProgressDisplay
 ) -> Controller:
     """A controller after its training with one seed; it corrects that of the same seed, if that one is trained too."""
     name, own = label.partition(SEED_MARK)[0], folder / "controllers" / label

@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.registry import kind_of
-from hydro_agents.learning.features import (
-    HISTORY_LAGS,
-    HISTORY_SIGNALS,
-    PREVIEW_SCALE,
-    PolicyFeatures,
-)
+from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PREVIEW_SCALE, PolicyFeatures
 from hydro_agents.learning.rig_gains import GainsFor, chosen_gains
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES

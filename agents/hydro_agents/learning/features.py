@@ -23,8 +23,7 @@ from hydro_env.task.paces import periods_per_step
 
 MIDDLE = 0.6  # share of the samples that stay within one unit
 RARE = 0.3  # unit of an input that is constant most of the time, as a fraction of its standard deviation
-LEAST = 0.02
-"""An input is constant most of the time if its unit (from MIDDLE) is below this fraction of its standard deviation."""
+LEAST = 0.02  # an input is constant most of the time if its unit (from MIDDLE) is below this part of its spread
 
 HISTORY_SIGNALS = (
     "position",
@@ -111,16 +110,12 @@ class PolicyFeatures:
         ConfigurationError: the corrected controller has no estimates.
     """
 
-    for_any_axis = False
-    """Whether the inputs mean the same on every rig."""
-
-    see_correction = False
-    """Whether the policy sees its last correction and the slow average of its corrections."""
+    for_any_axis = False  # whether the inputs mean the same on every rig
+    see_correction = False  # whether the policy sees its last correction and the slow average of its corrections
 
     correction = 1.0
 
-    normalising_seeds = SCALES.take(240)
-    """Plants on which the inputs are observed for their typical sizes."""
+    normalising_seeds = SCALES.take(240)  # plants on which the inputs are observed for their typical sizes
 
     def __init__(
         self,

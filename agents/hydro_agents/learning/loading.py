@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from hydro_agents.learning.trainers import Trainer
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
-SHIPPED_WEIGHTS = {"ppo": "policy"}
-"""File of the shipped weights by kind; the same with ``_any_axis`` holds those for any axis."""
+SHIPPED_WEIGHTS = {"ppo": "policy"}  # file of the shipped weights by kind; with _any_axis: of those for any axis
 
 
 class GainsOrigin(StrEnum):

@@ -13,13 +13,7 @@ from pydantic import ConfigDict, Field
 from hydro_agents.controllers.base import Observation, as_batch
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.learning.any_axis import AnyAxisFeatures
-from hydro_agents.learning.features import (
-    FEATURE_LIMIT,
-    FeatureState,
-    Normalisation,
-    PolicyFeatures,
-    Standardisation,
-)
+from hydro_agents.learning.features import FEATURE_LIMIT, FeatureState, Normalisation, PolicyFeatures, Standardisation
 from hydro_agents.learning.rig_gains import GainsFor, searched_gains
 from hydro_agents.running.weights import load_weights, save_weights
 from hydro_env import ConfigurationError, TaskConfig
@@ -95,10 +89,7 @@ class LSTM(NamedTuple):
     bias: NDArray[np.float32]  # (4 H,)
 
     def __call__(
-        self,
-        values: NDArray[np.float32],
-        memory: NDArray[np.float32] | None,
-        episode_start: NDArray[np.bool_] | None,
+        self, values: NDArray[np.float32], memory: NDArray[np.float32] | None, episode_start: NDArray[np.bool_] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Output (N, H) for inputs (N, inputs), and the next memory (N, 2 H): output and cells.
 

@@ -21,13 +21,9 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.settings import draws_of
 
 HEALTHY_LEAK = 0.01  # l/min at 100 bar
-DRAWN = 128
-"""Number of plants that are drawn from the ranges of a rig; the rare ones beyond them are left to the gain margin."""
-
+DRAWN = 128  # plants from the ranges of a rig; the rare ones beyond them are left to the gain margin
 SHARE_OF_STABLE = 0.5  # proportional gain over the largest stable or quiet one: a gain margin of 6 dB
-FEW_UNSTABLE = 0.02
-"""Share of loops within the ranges that tuned gains may leave unstable without friction, and start a search."""
-
+FEW_UNSTABLE = 0.02  # share of loops within the ranges that tuned gains may leave unstable without friction
 PLANTS = 32  # drawn ones that must come to rest with a gain
 MEDIUM, LOWEST, HIGHEST = 10.0, 1e-2, 1e4  # 1/s, 1/s, 1/m: where the search for the largest quiet gain begins and ends
 CLOSE = 1.1  # ratio of gains at which it ends

@@ -29,8 +29,7 @@ class TrainedController(Controller, Protocol):
 class Trainer(Protocol):
     """An algorithm that trains a controller for a task."""
 
-    settings: type[Group]
-    """Class of the settings in a YAML file."""
+    settings: type[Group]  # class of the settings in a YAML file
 
     def train(
         self,

@@ -21,8 +21,7 @@ from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.types import Floats
 
-LEAK_LEVELS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
-"""l/min at 100 bar; every candidate runs with each leak in each family."""
+LEAK_LEVELS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)  # l/min at 100 bar; every candidate runs with each in each family
 
 RESTING = ("pause", "creep", "staircase")
 """Further families of every candidate, in episodes of :data:`REST`, of which the end counts; each with
@@ -31,9 +30,7 @@ RESTING = ("pause", "creep", "staircase")
 REST, JUDGED = 5.0, 1.5  # s
 REST_LEAKS = (0.03, 0.3, 2.0)  # l/min at 100 bar
 
-EFFORT_TIME = 3e-3
-"""s; the squared change of the command in a period costs as much as the travel at full speed in this time."""
-
+EFFORT_TIME = 3e-3  # s; the squared change of the command in a period costs the travel at full speed in this time
 REFUSED = 1e3  # m; cost of an invalid or failing candidate
 _POSITION = CHANNELS.index("position")
 

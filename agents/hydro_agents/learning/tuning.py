@@ -17,14 +17,7 @@ from joblib import Parallel, delayed, effective_n_jobs
 
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.learning.trials import (
-    JUDGED,
-    REST,
-    costs_of,
-    resting_cases,
-    summed_up,
-    tuning_cases,
-)
+from hydro_agents.learning.trials import JUDGED, REST, costs_of, resting_cases, summed_up, tuning_cases
 from hydro_agents.running.jobs import Columns, Job, run_here
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, validate
@@ -79,12 +72,8 @@ class Search(NamedTuple):
     evaluations: int = EVALUATIONS  # number of candidates, rounded up to whole generations
     seed: int = 0  # of the optimiser and of the training cases
 
-    cases: int = 42
-    """Training cases of each candidate; a multiple of leak levels × families gives each the same number."""
-
-    start: Group | None = None
-    """Where it starts; default: the defaults of the class. Fields that are not searched keep these values."""
-
+    cases: int = 42  # training cases of each candidate; a multiple of leak levels × families gives each the same number
+    start: Group | None = None  # default: the defaults of the class; what is not searched keeps these values
     population: int = 14  # candidates per generation
     spread: float = 0.2  # of the first generation, in parts of the search ranges
 

@@ -38,8 +38,7 @@ RESULT_FILES = f"{JOBS_FOLDER}/*.npz"
 _KILLED = ("TerminatedWorkerError", "BrokenProcessPool")  # the errors of loky, by name
 
 Columns = dict[str, NDArray[Any]]  # numbers by name, arrays of any shape
-Report = Callable[[str, int, int], None]
-"""Called with the name of the phase, the number of finished jobs, and their total."""
+Report = Callable[[str, int, int], None]  # called with phase, number of finished jobs, and their total
 
 
 @contextmanager

@@ -23,9 +23,7 @@ from hydro_env import TaskConfig
 LEAST_CYCLES = 3  # smallest number of cycles in the evaluated time; a slower motion is drift
 LASTING = 0.5  # an oscillation whose last third has less than this share of its amplitude is decaying
 
-BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 3.0
-"""s: rest, step of the reference, time to come to rest after its return, evaluated time."""
-
+BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 3.0  # s: rest, step, time to rest after its return, evaluated time
 NOISES = 2.0  # an amplitude beyond so many standard deviations of the position sensor's noise can be seen
 
 _DRIFT = 2 * LEAST_CYCLES - 1  # degree of the polynomial that follows a drift of fewer cycles

@@ -61,11 +61,7 @@ def noiseless(config: TaskConfig) -> TaskConfig:
 
 
 def timed_task(
-    task: TaskConfig | str | Path | None,
-    rig: str | Path | None,
-    period: str | None,
-    latency: str | None,
-    command: str,
+    task: TaskConfig | str | Path | None, rig: str | Path | None, period: str | None, latency: str | None, command: str
 ) -> TaskConfig:
     """A task on a rig with another control period and latency, each given with its unit.
 

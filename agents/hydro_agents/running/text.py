@@ -93,5 +93,4 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], left: Collect
     return "\n".join([f"| {lines[0]} |", f"|{ends}|", *(f"| {line} |" for line in lines[1:])])
 
 
-NAME_RULE = r"^\w[\w .+-]{0,39}$"
-"""Names of controllers: they stand in tables, pages, file names and on the terminal."""
+NAME_RULE = r"^\w[\w .+-]{0,39}$"  # names of controllers: they stand in tables, pages, file names and on the terminal

@@ -124,8 +124,7 @@ def require(tensors: Tensors, wanted: Tensors, where: str | Path) -> None:
 def _packed(tensors: Tensors) -> bytes:
     from safetensors.numpy import save
 
-    content: bytes = save({name: np.ascontiguousarray(array).reshape(array.shape) for name, array in tensors.items()})
-    return content
+    return save({name: np.ascontiguousarray(array).reshape(array.shape) for name, array in tensors.items()})
 
 
 def _digest(tensors: Tensors) -> NDArray[np.uint8]:

@@ -143,16 +143,6 @@ class LineLaws(NamedTuple):
 
 
 @inline
-def _chambers_as_ports(s):
-    return s
-
-
-@inline
-def _chambers_at_rest(s, c):
-    return s
-
-
-@inline
 def _from_the_edges(s, edges):
     return edges.supply_to_a - edges.a_to_tank, edges.b_to_tank - edges.supply_to_b  # (2), (3)
 
@@ -163,35 +153,15 @@ def _chambers_and_lines(position, c):
     return volume_a, volume_b, c.wall_compliance_a, c.wall_compliance_b
 
 
-@inline
-def _no_rates(s, edges, c):
-    return 0.0
-
-
-@inline
-def _no_weights(c):
-    return 0.0
-
-
-@inline
-def _as_it_is(s):
-    return s
-
-
-@inline
-def _no_kink(nearest, s, rate):
-    return nearest
-
-
 VOLUMES = LineLaws(
-    _chambers_as_ports,
-    _chambers_at_rest,
-    _from_the_edges,
-    _chambers_and_lines,
-    _no_rates,
-    _no_weights,
-    _as_it_is,
-    _no_kink,
+    ports=merged("chambers_as_ports", "s", "s"),
+    ports_at_rest=merged("chambers_at_rest", "s, c", "s"),
+    into_chambers=_from_the_edges,
+    chambers=_chambers_and_lines,
+    rates=merged("no_rates", "s, edges, c", "0.0"),
+    weights=merged("no_weights", "c", "0.0"),
+    within_limits=merged("as_it_is", "s", "s"),
+    kink=merged("no_kink", "nearest, s, rate", "nearest"),
 )
 """Lines as volumes: their oil belongs to the chambers."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hydro_env.compiling import inline
+from hydro_env.compiling import inline, merged
 from hydro_env.files import Group
 from hydro_env.plant.states import TipState
 from hydro_env.units import Number, quantity
@@ -103,22 +103,11 @@ class TipLaws(NamedTuple):
     weights: object  # (c) → error weight of each of these states
 
 
-@inline
-def _friction_alone(friction_force, s, c):
-    return friction_force
-
-
-@inline
-def _no_rates(s, c):
-    return 0.0
-
-
-@inline
-def _no_weights(c):
-    return 0.0
-
-
-RIGID_LOAD = TipLaws(_friction_alone, _no_rates, _no_weights)
+RIGID_LOAD = TipLaws(
+    resistance=merged("friction_alone", "friction_force, s, c", "friction_force"),
+    rates=merged("no_tip_rates", "s, c", "0.0"),
+    weights=merged("no_tip_weights", "c", "0.0"),
+)
 
 
 @inline

@@ -259,8 +259,7 @@ def time_to_spool_kink(s, rate, c):
     return min(slew, stroke)
 
 
-SHARP = 1e-3
-"""Of full stroke; edges with less rounding have corners that a step must not cross."""
+SHARP = 1e-3  # of full stroke; edges with less rounding have corners that a step must not cross
 
 
 @inline
@@ -284,9 +283,3 @@ def nearest_edge_kink(nearest, s, rate, c):
         _time_to_corner(direction * (knee - stroke), speed, change),
     )
     return min(nearest, min(lap, bend))
-
-
-@inline
-def no_edge_kink(nearest, s, rate, c):
-    """``nearest``: rounded edges have no kinks."""
-    return nearest
