@@ -120,9 +120,8 @@ def main() -> None:
         if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
             signal.signal(number, _stop)
     try:
-        app = application(
-            next((word for word in sys.argv[1:2] for commands in GROUPS.values() if word in commands), "")
-        )
+        known = {name for commands in GROUPS.values() for name in commands}
+        app = application(next((word for word in sys.argv[1:2] if word in known), ""))
         code = app(standalone_mode=False, prog_name="hydro")
         sys.exit(code if isinstance(code, int) else 0)
     except SystemExit as stop:

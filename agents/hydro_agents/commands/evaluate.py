@@ -95,10 +95,9 @@ def evaluate(
         if law is not None:
             without = {"--config": config, "--protocol": protocol, "--head": head}
             refuse_given(without | {"--period": period, "--latency": latency}, "has no meaning on drawn rigs")
+            options = Options(task, None, output or DRAWN, resume, overwrite)
             with workers(jobs):
-                _evaluate_on_drawn_rigs(
-                    law, named_agents(agent), plants, Options(task, None, output or DRAWN, resume, overwrite)
-                )
+                _evaluate_on_drawn_rigs(law, named_agents(agent), plants, options)
             return
         rig = config_file("rigs", rig)
     file = None if protocol is None else config_file("protocols", protocol)

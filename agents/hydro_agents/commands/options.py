@@ -27,12 +27,8 @@ Seed = Annotated[
 Resume = Annotated[bool, typer.Option("--resume", help="Continue from the results in the output folder.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace earlier results in the output folder.")]
 OverwriteFile = Annotated[bool, typer.Option("--overwrite", help="Replace the file.")]
-Period = Annotated[
-    str | None, typer.Option("--period", metavar="1ms", help="Control period; default: that of the task, 5 ms.")
-]
-Latency = Annotated[
-    str | None, typer.Option("--latency", metavar="0.5ms", help="From sampling to the new command; default: 1 ms.")
-]
+Period = Annotated[str | None, typer.Option("--period", metavar="1ms", help="Control period; default: the task's.")]
+Latency = Annotated[str | None, typer.Option("--latency", metavar="0.5ms", help="Of the command; default: the task's.")]
 Agents = Annotated[
     list[str] | None,
     typer.Option(
@@ -44,9 +40,7 @@ Agents = Annotated[
     ),
 ]
 
-Jobs = Annotated[
-    int | None, typer.Option("--jobs", "-j", min=1, max=1024, help="Jobs side by side; default: one per core.")
-]
+Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, max=1024, help="At a time; default: one per core.")]
 
 
 def _rig_file(given: Path | None) -> Path | None:
@@ -86,9 +80,7 @@ Faults = Annotated[
         "--fault", metavar="NAME=VALUE", help="A fault, such as valve_null_shift=0.01; repeat the option for several."
     ),
 ]
-PlantSeed = Annotated[
-    int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Seed of plant, reference and noise.")
-]
+PlantSeed = Annotated[int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Of plant, reference and noise.")]
 OwnTask = Annotated[
     str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
 ]

@@ -92,12 +92,8 @@ def example_traces(results: Results) -> list[Example]:
     protocol, runs = results.protocol, {}
     families = [family for family in EXAMPLE_FAMILIES if family in protocol.families]
     leaks = sorted(protocol.leak_levels)
-    count = len(families) * len(leaks)
-    cases = Cases(
-        np.full(count, EXPERIMENT_AXES.first, dtype=np.int64),
-        np.tile(leaks, len(families)),
-        np.repeat(families, len(leaks)),
-    )
+    seeds = np.full(len(families) * len(leaks), EXPERIMENT_AXES.first, dtype=np.int64)
+    cases = Cases(seeds, np.tile(leaks, len(families)), np.repeat(families, len(leaks)))
     for label, controller in results.participants.controllers.items():
         name = split_name(label)[0]
         if families and name in results.controllers and name not in runs:

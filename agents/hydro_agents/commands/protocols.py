@@ -36,10 +36,8 @@ class Options(NamedTuple):
         protocol = kind.from_yaml(self.file)
         if (self.task, self.rig, self.period, self.latency) == (None,) * 4:
             return protocol
-        task = timed_task(
-            protocol.task if self.task is None else self.task, self.rig, self.period, self.latency, "evaluate"
-        )
-        return protocol.moved(task)
+        task = protocol.task if self.task is None else self.task
+        return protocol.moved(timed_task(task, self.rig, self.period, self.latency, "evaluate"))
 
 
 def facts_of(**more: str) -> Sequence[tuple[str, str]]:
@@ -49,14 +47,7 @@ def facts_of(**more: str) -> Sequence[tuple[str, str]]:
 
 
 def run_protocol(protocol: Protocol[Any], chosen: Any, options: Options, page: PageOf, settings: Group) -> None:
-    """Run a protocol of any kind, and write its tables and its page.
-
-    Args:
-        protocol: conditions and parts.
-        chosen: the participants.
-        options: how it runs.
-        page: its page, and the figures for the terminal.
-        settings: what ran, for a YAML file beside the results.
+    """Run a protocol of any kind with the chosen participants; write tables, page and settings, and print the figures.
 
     Raises:
         ConfigurationError: the folder cannot be used, or a participant failed (the results of the others are written

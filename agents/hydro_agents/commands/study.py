@@ -208,9 +208,8 @@ def _trained(study: StudySettings, what: str) -> str:
             return name
         known.append(kind if alone and kind in TRAINERS else name.lower())
     known += ["head", *CONTROLLERS]
-    raise ConfigurationError(
-        f"train '{what}': unknown; this study trains: {', '.join(known)}{did_you_mean(what, known)}"
-    )
+    guess = did_you_mean(what, known)
+    raise ConfigurationError(f"train '{what}': unknown; this study trains: {', '.join(known)}{guess}")
 
 
 def _gains(study: StudySettings, kind: str, steps: int | None) -> _Part:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import attrgetter
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -120,9 +121,8 @@ class ObservationLayout:
         """
         absent = [name for name in names if name not in self.names]
         if absent:
-            raise ConfigurationError(
-                f"{reader}: reads {', '.join(absent)}, and this rig has no such sensor; a PID needs the position alone"
-            )
+            has_none = "and this rig has no such sensor; a PID needs the position alone"
+            raise ConfigurationError(f"{reader}: reads {', '.join(absent)}, {has_none}")
 
     @property
     def preview_times(self) -> tuple[float, ...]:
@@ -195,11 +195,8 @@ class ClassicalController:
 
     The task gives it the knowledge of an engineer: the layout of the observations, the control period, the latency, and
     the data sheet of the rig (``config.plant``). It does not know the plant that an episode draws. Its memory is a
-    ``NamedTuple`` of arrays whose first axis counts the N axes. A subclass defines :meth:`act`.
-
-    Args:
-        gains: read at each call: the exported code lets them change while the machine runs.
-        config: the task.
+    ``NamedTuple`` of arrays whose first axis counts the N axes. A subclass defines :meth:`act`, which reads the gains
+    at each call: the exported code lets them change while the machine runs.
     """
 
     estimate_names: tuple[str, ...] = ()  # names of the values of estimates
@@ -239,26 +236,21 @@ def gain(
     search: tuple[float, float],
     unit: str,
     description: str,
-    *,
     low: float = 0.0,
     high: float = 1e9,
     logarithmic: bool = False,
     needs: str = "",
 ) -> Any:
-    """A field of a class of gains that tuning searches.
+    """A field of a class of gains, within ``low`` and ``high``, that tuning searches between two values.
 
-    Args:
-        default: its default.
-        search: lowest and highest value that tuning tries.
-        unit: its unit.
-        description: what it does.
-        low: lowest value allowed.
-        high: highest value allowed.
-        logarithmic: whether tuning searches over its logarithm.
-        needs: parameter of the plant, ``group.field``, without which the gain has no effect and tuning leaves it alone.
+    ``needs`` is the parameter of the plant, ``group.field``, without which the gain has no effect and tuning leaves it
+    alone.
     """
     extra: Any = {"unit": unit, "range": (low, high), "search": search, "logarithmic": logarithmic, "needs": needs}
     return Field(default, ge=low, le=high, description=f"{unit}; {description}", json_schema_extra=extra)
+
+
+log_gain = partial(gain, logarithmic=True)  # tuning searches over its logarithm
 
 
 def search_space(gains: type[Group], plant: PlantParameters) -> dict[str, tuple[float, float, bool]]:

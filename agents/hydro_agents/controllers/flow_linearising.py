@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import ClassicalController, Observation, gain, restarted
+from hydro_agents.controllers.base import ClassicalController, Observation, gain, log_gain, restarted
 from hydro_agents.controllers.flow_model import Flow, FlowModel
 from hydro_agents.controllers.motion_filter import FLOW_GAIN, LEAK, OFFSET, POSITION, MotionFilter
 from hydro_agents.controllers.preview import Jumps, Preview, braked, path_weights
@@ -36,55 +36,40 @@ class FlowLinearisingGains(Group):
     The defaults are for any rig: ``benchmarks/no_tuning.py`` tuned them over drawn rigs.
     """
 
-    position_gain: float = gain(0.758, (0.1, 1.5), "1", "speed per error, times a pace", high=100.0, logarithmic=True)
-    braking: float = gain(
+    position_gain: float = log_gain(0.758, (0.1, 1.5), "1", "speed per error, times a pace", high=100.0)
+    braking: float = log_gain(
         1.14,
         (0.3, 20.0),
         "1",
         "error beyond which the speed grows with its root, per travel at full speed in a pace",
         low=1e-3,
         high=1e4,
-        logarithmic=True,
     )
     lead: float = gain(0.925, (0.5, 2.0), "1", "of the reference speed, in delays of the damped axis", high=10.0)
-    smoothing: float = gain(0.737, (0.1, 2.0), "1", "half width of its mean, in delays", low=0.01, high=10.0)
+    smoothing: float = gain(0.737, (0.1, 2.0), "1", "half width of its mean, in delays", 0.01, 10.0)
     prediction: float = gain(0.188, (0.0, 1.5), "1", "of the position, in delays", high=10.0)
     force_rate: float = gain(0.529, (0.0, 2.0), "1", "of the rate of the accelerating force, fed forward", high=10.0)
     set_off_share: float = gain(
-        1.47, (0.5, 2.0), "1", "set-off before a jump, per half its time at full speed", high=10.0
+        1.47, (0.5, 2.0), "1", "set-off before a jump, per half its time at full speed", 0.0, 10.0
     )
     set_off_delay: float = gain(1.11, (0.0, 3.0), "1", "earlier set-off before a jump, in delays", high=10.0)
-    damping: float = gain(0.422, (-0.5, 1.0), "1", "dynamic pressure feedback; adds half of it", low=-10.0, high=10.0)
-    damping_filter: float = gain(
-        1.56, (0.1, 4.0), "1", "time of its high-pass, in paces", low=1e-3, high=1e3, logarithmic=True
-    )
+    damping: float = gain(0.422, (-0.5, 1.0), "1", "dynamic pressure feedback; adds half of it", -10.0, 10.0)
+    damping_filter: float = log_gain(1.56, (0.1, 4.0), "1", "time of its high-pass, in paces", 1e-3, 1e3)
     friction: float = gain(1.1, (0.0, 2.0), "1", "of the data sheet's friction, fed forward at reversals", high=10.0)
-    flow_gain_spread: float = gain(
-        0.0306, (0.01, 0.5), "1", "uncertainty of the flow gain at the start", low=1e-6, high=10.0, logarithmic=True
+    flow_gain_spread: float = log_gain(
+        0.0306, (0.01, 0.5), "1", "uncertainty of the flow gain at the start", low=1e-6, high=10.0
     )
-    flow_gain_memory: float = gain(
-        5.13,
-        (0.3, 10.0),
-        "s",
-        "time in which the flow gain returns to the data sheet's",
-        low=1e-3,
-        high=1e6,
-        logarithmic=True,
+    flow_gain_memory: float = log_gain(
+        5.13, (0.3, 10.0), "s", "time in which the flow gain returns to the data sheet's", low=1e-3, high=1e6
     )
-    leak_spread: float = gain(
-        0.952, (0.1, 20.0), "l/min at 100 bar", "uncertainty of the leak", low=1e-6, high=1e3, logarithmic=True
+    leak_spread: float = log_gain(0.952, (0.1, 20.0), "l/min at 100 bar", "uncertainty of the leak", 1e-6, 1e3)
+    leak_memory: float = log_gain(13.1, (1.0, 60.0), "s", "time in which the leak returns to 0", 1e-3, 1e6)
+    offset_spread: float = log_gain(
+        0.00216, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", low=1e-9, high=10.0
     )
-    leak_memory: float = gain(
-        13.1, (1.0, 60.0), "s", "time in which the leak returns to 0", low=1e-3, high=1e6, logarithmic=True
-    )
-    offset_spread: float = gain(
-        0.00216, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
-    )
-    offset_memory: float = gain(
-        3.27, (0.1, 5.0), "s", "time in which the offset returns to 0", low=1e-3, high=1e6, logarithmic=True
-    )
-    motion_spread: float = gain(
-        0.000494, (1e-5, 0.03), "√s", "uncertainty of the motion, per full speed", low=1e-9, high=10.0, logarithmic=True
+    offset_memory: float = log_gain(3.27, (0.1, 5.0), "s", "time in which the offset returns to 0", 1e-3, 1e6)
+    motion_spread: float = log_gain(
+        0.000494, (1e-5, 0.03), "√s", "uncertainty of the motion, per full speed", low=1e-9, high=10.0
     )
 
 
@@ -131,9 +116,8 @@ class FlowLinearising(ClassicalController):
         self.pace = pace(config)
         g, plant, period = gains, config.plant, config.control_period
         oscillation, mass = closed_port_natural_frequency(plant), plant.load.mass + plant.cylinder.piston_mass
-        self._lead = g.lead * (
-            self.delay + max(g.damping + plant.load.viscous_damping / (mass * oscillation), 0.0) / oscillation
-        )
+        damping = g.damping + plant.load.viscous_damping / (mass * oscillation)
+        self._lead = g.lead * (self.delay + max(damping, 0.0) / oscillation)
         self._model = FlowModel(plant)
         jump = max(speed_limits(plant)) * period
         self._preview = Preview(config)
@@ -239,9 +223,8 @@ class FlowLinearising(ClassicalController):
         blend = period / (period + self.gains.damping_filter * self.pace)
         slow_force = old.slow_force + blend * (flow.force - old.slow_force)
         reference = self._preview.advanced(old.reference, batch)
-        return FlowLinearisingState(
-            reference, old.supply, flow.force, slow_force, speed, flow.leak, estimate, covariance
-        )
+        memory = reference, old.supply, flow.force, slow_force, speed, flow.leak, estimate, covariance
+        return FlowLinearisingState(*memory)
 
     def _wanted(self, now: FlowLinearisingState, position_ahead: Floats, flow: Flow) -> tuple[Floats, Floats]:
         """Reference speed with friction feed-forward (m/s), and error at the predicted position (m), each (N,)."""

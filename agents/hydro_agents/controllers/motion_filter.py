@@ -46,11 +46,8 @@ class MotionFilter:
     def start(self, position: Floats, speed: Floats, leak: Floats, unexplained: Floats) -> tuple[Floats, Floats]:
         """Estimate and covariance at the start: those of the data sheet, given the speed that it does not explain.
 
-        Args:
-            position: measured, m, (N,).
-            speed: of the valve's flow according to the data sheet, m/s, (N,).
-            leak: speed per leak conductance, (N,).
-            unexplained: true speed minus ``speed``, m/s, (N,).
+        ``speed`` is that of the valve's flow according to the data sheet, ``leak`` the speed per leak conductance, and
+        ``unexplained`` the true speed less ``speed``; each (N,).
         """
         zeros = np.zeros_like(position)
         slope = np.stack([zeros, speed, leak, zeros + 1.0], axis=1)
@@ -63,15 +60,10 @@ class MotionFilter:
     def advanced(
         self, estimate: Floats, covariance: Floats, travel: Floats, leak_travel: Floats, other: Floats, measured: Floats
     ) -> tuple[Floats, Floats]:
-        """Estimate and covariance one period later.
+        """Estimate (N, 4) and covariance (N, 4, 4) one period later.
 
-        Args:
-            estimate: (N, 4).
-            covariance: (N, 4, 4).
-            travel: of the piston by the valve's flow according to the data sheet, m, (N,).
-            leak_travel: m per leak conductance, (N,).
-            other: other known motion, m, (N,).
-            measured: position measured now, m, (N,).
+        ``travel`` is that of the piston by the valve's flow according to the data sheet, m; ``leak_travel`` m per leak
+        conductance; ``other`` the other known motion, m; ``measured`` the position now, m; each (N,).
         """
         slope = np.empty_like(estimate)
         slope[:, POSITION], slope[:, FLOW_GAIN] = 1.0, travel

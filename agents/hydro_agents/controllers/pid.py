@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hydro_agents.controllers.base import ClassicalController, Observation, gain, restarted
+from hydro_agents.controllers.base import ClassicalController, Observation, gain, log_gain, restarted
 from hydro_env import TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
@@ -31,17 +31,15 @@ class PIDGains(Group):
         hydro_env.errors.ConfigurationError: PIDGains: proportional = -1.0: must be a number within 0 to 10000 ...
     """
 
-    proportional: float = gain(20.0, (2.0, 2000.0), "1/m", "on the error", high=1e4, logarithmic=True)
-    integral: float = gain(40.0, (1.0, 1e5), "1/(m s)", "on the integral of the error", high=1e5, logarithmic=True)
+    proportional: float = log_gain(20.0, (2.0, 2000.0), "1/m", "on the error", high=1e4)
+    integral: float = log_gain(40.0, (1.0, 1e5), "1/(m s)", "on the integral of the error", high=1e5)
     derivative: float = gain(0.0, (0.0, 3.0), "s/m", "on the error of the speed", high=1e3)
-    derivative_filter_time: float = gain(0.005, (1e-3, 0.05), "s", "first-order", high=1.0, logarithmic=True)
+    derivative_filter_time: float = log_gain(0.005, (1e-3, 0.05), "s", "first-order", high=1.0)
     feedforward_extending: float = gain(6.0, (0.0, 20.0), "s/m", "command per reference speed", high=1e3)
     feedforward_retracting: float = gain(8.0, (0.0, 20.0), "s/m", "command per reference speed", high=1e3)
     feedforward_lead: float = gain(0.008, (0.0, 0.03), "s", "lead of the reference speed", high=0.1)
     reference_lead: float = gain(0.0, (0.0, 0.03), "s", "lead of the reference position", high=0.1)
-    anti_windup_time: float = gain(
-        0.05, (0.005, 1.0), "s", "back-calculation while saturated", low=1e-6, high=10.0, logarithmic=True
-    )
+    anti_windup_time: float = log_gain(0.05, (0.005, 1.0), "s", "back-calculation while saturated", 1e-6, 10.0)
     overlap_compensation: float = gain(
         0.0, (0.0, 1.2), "1", "of the valve's overlap, added to the command", high=1.5, needs="valve.overlap"
     )

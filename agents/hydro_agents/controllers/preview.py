@@ -80,14 +80,8 @@ class Jumps:
     """Removes jumps from the reference, and decides for which of them the axis must already move; for N axes.
 
     An axis sets off ``delay`` before a jump, and earlier by ``share`` of half the time that the jump takes at full
-    speed: with ``share = 1`` it is half-way when the reference jumps.
-
-    Args:
-        model: the flow of the valve.
-        largest: m; a larger change of the reference in a period is a jump.
-        delay: s.
-        share: 1.
-        times: s from now to each future sample of the reference, (horizon,).
+    speed: with ``share = 1`` it is half-way when the reference jumps. A change of the reference by more than
+    ``largest`` (m) in a period is a jump; ``times`` are those of :class:`Preview`.
     """
 
     def __init__(self, model: FlowModel, largest: float, delay: float, share: float, times: Floats) -> None:
@@ -101,13 +95,7 @@ class Jumps:
         return steps - jumps, jumps
 
     def begun(self, jumps: Floats, force: Floats, supply: Floats) -> Floats:
-        """Sum of the jumps ahead for which the axis moves already, m, (N,).
-
-        Args:
-            jumps: of :meth:`split`, (N, horizon + 1).
-            force: of the oil on the piston, N, (N,).
-            supply: pressure, Pa, (N,).
-        """
+        """Sum of the jumps of :meth:`split` for which the axis moves already, m, (N,), at a force of the oil (N)."""
         if surely_zero(jumps):
             return np.zeros(len(jumps))
         ahead = jumps[:, 1:]

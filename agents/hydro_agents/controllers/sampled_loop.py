@@ -142,13 +142,7 @@ def sampled_loop(
     """Linearise at rest and sample exactly (zero-order hold with latency; Åström & Wittenmark 1997, section 2.3).
 
     The linearisation omits dry friction, which blocks an axis at rest and hardly damps a moving one. The closed valve
-    is the worst case, because every opening adds damping.
-
-    Args:
-        parameters: the plant.
-        position: m, position at rest.
-        control_period: s.
-        latency: s, from sampling to the new command.
+    is the worst case, because every opening adds damping. The position at rest is in m, times are in s.
 
     Raises:
         HydroError: the position cannot be held, or period and latency do not fit.

@@ -127,11 +127,6 @@ class LeakAlarm:
 
         A look without a score adds nothing, nor does one that the detector cannot explain (no answer). A named
         fault does not clear the seal: an axis may have both.
-
-        Args:
-            look: reading of the detector, each array (N,).
-            activity: of each axis, (N,).
-            state: memory after the previous look.
         """
         axes = np.arange(len(activity))
         counts = look.answers

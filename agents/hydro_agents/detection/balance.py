@@ -435,12 +435,7 @@ fit = _build(SOURCES)
 
 
 def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> BalanceFit:
-    """Fit the flow balance of windows.
-
-    Args:
-        signals: (N, 5, T), position, pressures, spool position and previous command in SI units, without NaN.
-        sheet: data sheet of the axis.
-    """
+    """Fit the flow balance of windows of SIGNALS, (N, 5, T), in SI units and without NaN."""
     count, _, samples = signals.shape
     shapes = ((COUNT,), (COUNT,), (2,), (2,), (samples,), (TRACED, PARTS), (TRACED, PARTS))
     balance = BalanceFit(*(np.empty((count, *shape)) for shape in shapes))

@@ -152,12 +152,7 @@ def bounds_of(config: TaskConfig) -> NDArray[np.float64]:
 
 
 def stuck_sensors(signals: NDArray[np.float64], config: TaskConfig) -> NDArray[np.bool_]:
-    """Whether each sensor is stuck in each window, (N, 4).
-
-    Args:
-        signals: (N, 5, T) in SI units: position, pressures, spool position and command; NaN where a sample is lost.
-        config: the task, which describes the sensors.
-    """
+    """Whether each sensor of the task is stuck in each window, (N, 4), of signals (N, 5, T) in SI units."""
     stuck = np.empty((len(signals), len(SENSORS)))
     find_stuck(np.ascontiguousarray(signals, dtype=np.float64), bounds_of(config), stuck)
     return stuck > 0.0

@@ -32,7 +32,6 @@ UNSEEN = ("position_offset",)  # faults that are invisible in the measured signa
 LABEL_OF_FAULT = {
     name: LABELS.index(cause.word.replace(" ", "_")) for name, cause in CAUSE_OF_FAULT.items() if name not in UNSEEN
 }
-"""Index of the label of each fault."""
 
 TRAINED_FAULTS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")  # a stuck one needs no network
 
@@ -145,12 +144,7 @@ class TrainingPlan:
         return min(largest, CHUNK // 4) if leak in CHANGING else largest  # more lengths of windows
 
     def jobs(self, episodes: int, first_seed: int) -> dict[str, Job]:
-        """A job for each chunk, by its number; results: :class:`LabelledWindows`.
-
-        Args:
-            episodes: number of runs; rounding may add a few.
-            first_seed: of the first run.
-        """
+        """A job for each chunk of about so many runs, by its number; results: :class:`LabelledWindows`."""
         digests = [fingerprint(controller) for controller in self.controllers]
         jobs, seed = {}, first_seed
         for number, chunk in enumerate(self.chunks(episodes)):

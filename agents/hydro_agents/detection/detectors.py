@@ -18,12 +18,8 @@ class DetectorChoice(Group):
     kind: str = Field(description="head, estimator, or module:attribute for your own")
     weights: str | None = Field(None, description="of a head: a path; default: the shipped one")
     windows: int = Field(1000, ge=1, le=100_000, description="windows per leak level")
-    validation_windows: int = Field(
-        4000, ge=20, le=100_000, description="healthy windows for the threshold at 1 % false alarms"
-    )
-    batch: int = Field(
-        500, ge=1, le=10_000, description="windows per job; fixed: results must not depend on the machine"
-    )
+    validation_windows: int = Field(4000, ge=20, le=100_000, description="healthy ones, for 1 % false alarms")
+    batch: int = Field(500, ge=1, le=10_000, description="windows per job; fixed: no result depends on the machine")
 
     @field_validator("kind")
     @classmethod

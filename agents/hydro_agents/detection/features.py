@@ -364,12 +364,7 @@ describe = _build_describe(SOURCES)
 
 
 def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
-    """:data:`FEATURES` of windows, (N, F).
-
-    Args:
-        signals: signals of a window (N, 5, T) in SI units; NaN where a sample is lost or a sensor absent.
-        sheet: data sheet of the axis.
-    """
+    """:data:`FEATURES` (N, F) of windows of signals (N, 5, T) in SI units; NaN: a lost sample, or no such sensor."""
     whole = repaired(signals, sheet)
     features = np.empty((len(whole.signals), len(FEATURES)))
     describe(*whole, sheet, fit_balance(whole.signals, sheet), features)

@@ -34,25 +34,18 @@ def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
 def groups(
     quantiles: NDArray[np.float64], change: NDArray[Any], widths: NDArray[Any], changing: float
 ) -> NDArray[np.int64]:
-    """Group of each window, (N,).
+    """Group of each window, (N,), by its :func:`quantiles` and by how much its leak changes, (N,).
 
-    Args:
-        quantiles: 5, 50 and 95 % of log10 of the size, (N, 3).
-        change: how much the leak changes within the window, (N,).
-        widths: bounds between the widths, (WIDTHS - 1,).
-        changing: smallest change of a leak that counts as changing.
+    ``widths`` are the bounds between the widths, ``changing`` is the smallest change that counts.
     """
     width = np.searchsorted(widths, quantiles[:, 2] - quantiles[:, 0])
     return WIDTHS * (change > changing).astype(np.int64) + width
 
 
 def intervals(quantiles: NDArray[np.float64], distance: NDArray[Any]) -> NDArray[np.float64]:
-    """Middle and ends (N, 3) of log10 of the size.
+    """Middle and ends (N, 3) of log10 of the size, from its :func:`quantiles`.
 
-    Args:
-        quantiles: 5, 50 and 95 % of log10 of the size, (N, 3).
-        distance: of the ends from the middle at each of SIZES, relative to the distances of the quantiles, (N, SIZES,
-            2).
+    ``distance`` (N, SIZES, 2) is that of the ends from the middle, relative to the distances of the quantiles.
     """
     low, middle, high = quantiles.T
     ends, places = [], np.arange(len(SIZES))
@@ -67,15 +60,10 @@ def intervals(quantiles: NDArray[np.float64], distance: NDArray[Any]) -> NDArray
 
 
 def distances(quantiles: NDArray[np.float64], size: NDArray[Any], chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """95 % quantile of the distance between truth and middle quantile, at each of SIZES and to each side.
+    """95 % quantile of the distance between truth and middle quantile, at each of SIZES and to each side, (SIZES, 2).
 
-    Args:
-        quantiles: 5, 50 and 95 % of log10 of the size, (N, 3).
-        size: log10 of the true size, (N,).
-        chosen: windows of the group; if it has fewer than FEWEST of a size, all windows of that size are used.
-
-    Returns:
-        As a fraction of the distance of the outer quantiles, (SIZES, 2).
+    It is a fraction of the distance of the outer quantiles. ``size`` is log10 of the true one, ``chosen`` are the
+    windows of the group; if it has fewer than FEWEST of a size, all windows of that size are used.
     """
     low, middle, high = quantiles.T
     off = np.column_stack([(middle - size) / (middle - low), (size - middle) / (high - middle)])

@@ -24,11 +24,8 @@ _OTHER_LABELS = [cause.word.replace(" ", "_") for cause in OTHER_CAUSES]
 class HeadDetector:
     """The leakage head: its score is the logit of the probability of a leak.
 
-    A head for any axis moves to the rig of each task. A head for one rig leaves the others to one for any axis.
-
-    Args:
-        head: the head.
-        elsewhere: weights of a head for any axis, which reads other rigs than that of ``head``.
+    A head for any axis moves to the rig of each task. A head for one rig leaves the others to one for any axis, whose
+    weights are ``elsewhere``.
     """
 
     def __init__(self, head: LeakageHead, elsewhere: Path | None = None) -> None:

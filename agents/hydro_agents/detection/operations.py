@@ -83,14 +83,7 @@ class _Operator:
 
 
 class Operation(_Operator):
-    """Operates N axes in one manner, each with its own parameters; one episode per axis.
-
-    Args:
-        manner: ranges of the parameters.
-        config: the task.
-        count: number of axes N.
-        seed: of the parameters.
-    """
+    """Operates N axes in one manner, each with its own parameters, which the seed draws; one episode per axis."""
 
     def __init__(self, manner: Manner, config: TaskConfig, count: int, seed: int) -> None:
         super().__init__(config)

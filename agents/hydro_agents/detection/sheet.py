@@ -106,11 +106,8 @@ def rig_features(config: TaskConfig) -> NDArray[np.float32]:
 def sheet_of(config: TaskConfig, for_any_axis: bool = False) -> Sheet:
     """The data sheet of a task's axis, with priors that include worn axes.
 
-    The width of a prior is the task's range of the parameter; it is larger if faults change the parameter.
-
-    Args:
-        config: the task.
-        for_any_axis: no nameplate tells the lap of the valve exactly; its edges may be sharp.
+    The width of a prior is the task's range of the parameter; it is larger if faults change the parameter. For any axis
+    no nameplate tells the lap of the valve exactly; its edges may be sharp.
 
     Raises:
         ConfigurationError: a command acts later than in its own control period.

@@ -22,9 +22,7 @@ class HeadTrainingSettings(Group):
 
     model_config = ConfigDict(allow_inf_nan=False)
 
-    law: RigLaw | None = Field(
-        None, description="of the rigs of the training, each for a few runs; none: the task's rig"
-    )
+    law: RigLaw | None = Field(None, description="of the rigs of the training, each for a few runs; none: the task's")
     episodes: int = Field(6_000, ge=20, le=250_000, description="training runs, over all kinds of operation")
     validation_episodes: int = Field(2_000, ge=20, le=THRESHOLDS.count, description="for thresholds and intervals")
     longest: float = Field(4.0, ge=1.0, le=100.0, description="longest window, in episodes of the task")
@@ -45,10 +43,8 @@ class HeadTrainingSettings(Group):
         check_sensors(config)
         healthy, faulty = config.leakage.class_bounds[0], config.leakage.faulty_range[0]
         if config.steps < SHORTEST_WINDOW:
-            least = f"at least {SHORTEST_WINDOW}"
-            raise ConfigurationError(
-                f"leakage_head: an episode of {config.steps} control periods is its shortest window: {least}"
-            )
+            window = f"an episode of {config.steps} control periods is its shortest window"
+            raise ConfigurationError(f"leakage_head: {window}: at least {SHORTEST_WINDOW}")
         if not (healthy > LEAST_LEAK and faulty < LARGEST_LEAK):
             raise ConfigurationError(
                 f"leakage_head: trains on leaks of {LEAST_LEAK:g} to {LARGEST_LEAK:g} l/min: the task's "

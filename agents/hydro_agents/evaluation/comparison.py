@@ -56,10 +56,9 @@ class Sample(NamedTuple):
 
 
 class Grid:
-    """Cases as arrays (S, U, K): training seeds, plants (of all families), situations (condition and leak).
+    """Rows of the table ``cases`` as arrays (S, U, K): training seeds, plants (of all families), and situations.
 
-    Args:
-        cases: rows of the part ``tracking`` of :class:`~hydro_agents.evaluation.runner.Results`.
+    A situation is a condition and a leak.
     """
 
     def __init__(self, cases: pd.DataFrame) -> None:
@@ -74,9 +73,7 @@ class Grid:
         self._plant = _places(plants, cases)
         self._situation = _places(situations, cases)
         self._cases = cases
-        self._of: dict[str, Mask] = {}
-        for name in self.controllers:
-            self._of[name] = (cases["controller"] == name).to_numpy()
+        self._of: dict[str, Mask] = {name: (cases["controller"] == name).to_numpy() for name in self.controllers}
         self._plant_weights = plant_weights(self.family)
         self._made: dict[tuple[str, str], Floats] = {}
 
@@ -101,10 +98,8 @@ class Grid:
     def parts(self, families_under: Mask) -> Iterator[tuple[str, str, Mask, Mask]]:
         """Group, value, plants and situations of the rows of a table.
 
-        The groups are all cases, each condition (or, of a single condition, each leak), and each family.
-
-        Args:
-            families_under: the situations that count for the families.
+        The groups are all cases, each condition (or, of a single condition, each leak), and each family under the
+        situations ``families_under``.
         """
         yield ALL, "", self.all_plants, self.all_situations
         conditions = list(dict.fromkeys(self.condition.tolist()))

@@ -57,18 +57,12 @@ def errors_of(run: Rollout, cases: Cases, stroke: float) -> dict[str, float]:
 def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: int, plants: int = PLANTS) -> Columns:
     """Errors of one rig (:func:`errors_of`), and mean and standard deviation of the returns of its episodes.
 
-    Args:
-        controller: an agent that reads the observation of drawn rigs; ``None``: ``what`` is a kind or weights, loaded
-            for the rig's own task.
-        what: as for :func:`~hydro_agents.learning.loading.load_controller`.
-        drawn: the task that draws its rigs.
-        number: of the rig.
-        plants: of each family and leak.
+    ``controller`` is an agent that reads the observation of drawn rigs; ``None``: ``what`` is loaded for the rig's own
+    task (:func:`~hydro_agents.learning.loading.load_controller`).
     """
     assert drawn.law is not None
     law = {"first": drawn.law.first + number, "count": 1}
-    own = rig_tasks(task_config(drawn, law=law | {"preview_paces": ()}))[0]
-    task = own
+    own = task = rig_tasks(task_config(drawn, law=law | {"preview_paces": ()}))[0]
     if controller is None:
         controller = load_controller(what, own, what)
     else:

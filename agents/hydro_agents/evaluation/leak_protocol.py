@@ -43,9 +43,7 @@ class LeakCondition(Condition):
         "at rest", description="at rest: windows are the starts of runs; anywhere: windows are cut from longer runs"
     )
     duration: float = Field(2.0, gt=0.0, le=60.0, description="s; length of the windows")
-    levels: tuple[Level, ...] | None = Field(
-        None, min_length=1, description="l/min at 100 bar; 0: healthy; default: protocol"
-    )
+    levels: tuple[Level, ...] | None = Field(None, min_length=1, description="l/min; 0: healthy; default: protocol")
     share: float = Field(1.0, gt=0.0, le=10.0, description="windows per level, relative to the detector's number")
     detectors: tuple[str, ...] | None = Field(None, description="detectors that read it; default: all")
     faults: dict[Annotated[str, known_name(FAULTS, "fault")], Number] = Field(
@@ -171,15 +169,7 @@ def _cells(protocol: LeakProtocol, name: str, reader: str, detector: Detector, s
 
 
 def read(detector: Detector, config: TaskConfig, known: TaskConfig, acting: str, samples: int, cases: Cases) -> Columns:
-    """Simulate windows and read them.
-
-    Args:
-        detector: reads the windows.
-        config: task of the runs.
-        known: task as known to the detector.
-        acting: controller of the axes.
-        samples: of a window.
-        cases: of the runs, one window each.
+    """Simulate a window of each case and read it, with the task as known to the detector.
 
     Returns:
         The columns of :func:`simulated_windows`, those of :data:`READ` and ``otherwise``, each (N,).

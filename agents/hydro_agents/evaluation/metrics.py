@@ -187,15 +187,10 @@ def reversals(command: Array) -> int:
 
 
 def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, preview: float = 0.0) -> dict[str, float]:
-    """All METRICS of one episode.
+    """All METRICS of one episode; overshoot has a meaning if its reference ``is_step``.
 
-    Args:
-        rollout: the episodes.
-        case: its number.
-        period: s, of the control.
-        is_step: the reference jumps, so that overshoot has a meaning.
-        preview: s; the controller sees the reference this far ahead. The same time at the end of each standstill does
-            not count, because an axis may start before the reference does.
+    The controller sees the reference ``preview`` seconds ahead. The same time at the end of each standstill does not
+    count, because an axis may start before the reference does.
     """
     position, reference, command, spool, power, reward = (
         getattr(rollout, name)[case] for name in ("position", "reference", "command", "spool", "supply_power", "reward")

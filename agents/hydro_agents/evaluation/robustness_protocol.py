@@ -75,9 +75,7 @@ class PairedCases(Group):
     families: Families = MOVING_FAMILIES
     plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     seeds: PlantSeeds = Field("ROBUSTNESS", description="of the plants: a range of the ledger of seeds, by its name")
-    standstill_plants: int = Field(
-        4, ge=0, le=SEEDS_PER_FAMILY, description="plants of the search for limit cycles, per leak; 0: no search"
-    )
+    standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per leak, for limit cycles; 0: no search")
 
 
 class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
@@ -89,9 +87,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
     parts: ClassVar[tuple[str, ...]] = ("cases", "limit_cycles")
     kind: Literal["robustness"] = "robustness"
     title: str = "Robustness"
-    chunk: int = Field(
-        128, ge=1, le=2048, description="cases of a job; fixed, so that no result depends on the machine"
-    )
+    chunk: int = Field(128, ge=1, le=2048, description="cases of a job; fixed: no result depends on the machine")
     standstill_leak_levels: Levels = Field(
         (0.03, 1.0, 8.0), description="l/min; search for limit cycles under each condition without its own leak levels"
     )

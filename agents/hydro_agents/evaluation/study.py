@@ -95,9 +95,7 @@ class StudySettings(Group):
     seed: int = Field(0, ge=0, le=2**32 - 1, description="seed of all random numbers; --seed overrides it")
     title: str = "Controllers of a servo axis that leaks"
     task: TaskConfig = Field(default_factory=TaskConfig)
-    controllers: dict[Name, ControllerEntry] = Field(
-        min_length=1, description="by name; the first one is the baseline of the comparison"
-    )
+    controllers: dict[Name, ControllerEntry] = Field(min_length=1, description="by name; the first is the baseline")
     leakage_head: HeadTrainingSettings = Field(
         default_factory=HeadTrainingSettings, description="for hydro train head, with task and controllers of the study"
     )
@@ -143,10 +141,7 @@ class StudySettings(Group):
         return study
 
     def check(self, source: str = "study") -> None:
-        """Check everything that would otherwise fail after hours of work.
-
-        Args:
-            source: for messages.
+        """Check everything that would otherwise fail after hours of work; messages name the ``source``.
 
         Raises:
             ConfigurationError: a controller cannot be made, or settings contradict each other.
@@ -168,9 +163,7 @@ class StudySettings(Group):
         elif entry.tune is not None:
             wrong = "tune: a trained one cannot be tuned"
         elif getattr(entry.settings, "residual", False) and entry.corrects is None:
-            wrong = (
-                "is trained as a correction (residual: true): give 'corrects: NAME' of the controller that it corrects"
-            )
+            wrong = "is trained as a correction (residual: true): give 'corrects: NAME' of what it corrects"
         if wrong:
             raise ConfigurationError(wrong)
         task_config(self.task, **getattr(entry.settings, "practice", {}))
@@ -297,18 +290,11 @@ def default_study(
     period: str | None = None,
     latency: str | None = None,
 ) -> StudySettings:
-    """The study of a file or of ``make study``, optionally with another task or rig.
+    """The study of a name in ``configs/studies`` or of a file, optionally with another task, rig, period or latency.
 
     Gains belong to a rig. On another rig every classical controller is therefore tuned first; flow linearisation begins
     with its gains for any rig. Controllers that need absent sensors are left out
     (:meth:`StudySettings.with_its_sensors`).
-
-    Args:
-        path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
-        task: name or file of the task, or the task itself, instead of the study's.
-        rig: name or file of another rig for the task.
-        period: its control period, with its unit.
-        latency: its latency, with its unit.
 
     Raises:
         ConfigurationError: a file is wrong, or settings contradict each other.

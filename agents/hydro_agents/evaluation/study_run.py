@@ -62,14 +62,9 @@ def files_of(study: StudySettings, seeds: range) -> list[str]:
 def run_study(
     study: StudySettings, folder: Path, seeds: range, display: ProgressDisplay, facts: Sequence[tuple[str, str]] = ()
 ) -> Results:
-    """Run all phases that are not finished in the folder.
+    """Run all phases of a checked study that are not finished in the folder, which gets :func:`files_of`.
 
-    Args:
-        study: the study, checked.
-        folder: for its files (:func:`files_of`).
-        seeds: of the trainings; the first one is that of the tuning.
-        display: shows the progress.
-        facts: more rows of the table ``protocol``: key and value.
+    The first of the seeds of the trainings is that of the tuning; ``facts`` are more rows of the table ``protocol``.
 
     Raises:
         ConfigurationError: settings contradict each other, or the folder holds results of other settings.
@@ -96,9 +91,8 @@ def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:
         before = read_yaml(file)
         changed = next((key for key in TRAINED_BY if before.get(key) != described[key]), None)
         if changed is not None:
-            raise ConfigurationError(
-                f"{file}: was made with another seed or other settings ('{changed}' differs); --overwrite begins anew"
-            )
+            made = f"was made with another seed or other settings ('{changed}' differs)"
+            raise ConfigurationError(f"{file}: {made}; --overwrite begins anew")
     write_yaml(file, described)
 
 
@@ -151,13 +145,7 @@ def train_controller(
 ) -> Controller:
     """Train one controller of a study, from the checkpoint in the folder on; write weights, checkpoints and log there.
 
-    Args:
-        study: the study.
-        label: name of the controller, or NAME#SEED.
-        folder: for its files.
-        seed: seed of all random numbers.
-        base: the controller that it corrects.
-        display: shows the progress.
+    ``label`` is its name, or NAME#SEED; ``base`` is the controller that it corrects.
 
     Raises:
         ConfigurationError: the settings are impossible, or the checkpoint is damaged or of other settings.
@@ -187,15 +175,7 @@ def tune_controller(
     """Tune one classical controller of a study with progress on the console; continues after an interruption.
 
     The best gains so far are written after every generation. The file of the final gains says in a comment whether an
-    axis under them comes to rest without sensor noise.
-
-    Args:
-        study: the study.
-        name: name of a controller with ``tune``.
-        file: for the gains.
-        folder: keeps the finished generations.
-        seed: seed of the search.
-        display: shows the progress.
+    axis under them comes to rest without sensor noise; the folder keeps the finished generations.
 
     Raises:
         ConfigurationError: no candidate can control the axis.
@@ -220,10 +200,8 @@ def tune_controller(
     found = counted_at_rest(made, study.task, STANDSTILLS, STANDSTILL_CASES)
     note = f"{rest_text(found)} (drawn plants and leaks, without sensor noise)"
     write_text(file, gains_text(tuned.gains, note[0].upper() + note[1:]))
-    display.say(
-        f"{name}: {1e3 * tuned.cost:.4f} mm on training cases, geometric mean of the families, cost of command changes "
-        "included"
-    )
+    cost = f"{1e3 * tuned.cost:.4f} mm on training cases, geometric mean of the families"
+    display.say(f"{name}: {cost}, cost of command changes included")
     if not comes_to_rest(found):
         display.say(f"{name}, tuned: {note}")
     return made

@@ -30,12 +30,9 @@ class Checkpoint(NamedTuple):
 
 
 class Checkpoints:
-    """The checkpoints of a training in a folder; ``None`` keeps none.
+    """The checkpoints of a training in a folder, written every ``interval`` seconds; ``None`` keeps none.
 
-    Args:
-        folder: the folder.
-        made_with: conditions of the training (JSON); only under the same ones it continues.
-        interval: s, between two files.
+    A training continues only under the conditions (JSON) that it was ``made_with``.
     """
 
     def __init__(self, folder: str | Path | None, made_with: Mapping[str, Any], interval: float) -> None:
@@ -81,13 +78,7 @@ class Checkpoints:
 
 
 def take(model: Any, env: AxisVecEnv | RigsVecEnv, seconds: float) -> Checkpoint:
-    """Copy the state of a training at the start of a rollout.
-
-    Args:
-        model: PPO or RecurrentPPO.
-        env: its environment.
-        seconds: duration of training.
-    """
+    """Copy the state of a training with PPO or RecurrentPPO at the start of a rollout."""
     _, key, position, *_ = np.random.get_state()  # stable-baselines3 shuffles minibatches with it
     state = {
         "policy": model.policy.state_dict(),

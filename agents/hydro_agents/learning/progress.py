@@ -48,10 +48,7 @@ class Progress(NamedTuple):
 class ProgressFile(KVWriter):
     """``progress.csv``: one row per update, written immediately; a resumed training continues the file.
 
-    Args:
-        path: path of the file.
-        steps: number of steps at the checkpoint; later rows are dropped, because they come from a training that was
-            killed before its next checkpoint.
+    Rows after the ``steps`` of the checkpoint are dropped: that training was killed before its next checkpoint.
 
     Raises:
         ConfigurationError: the file cannot be written.

@@ -149,7 +149,7 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
     judges = neighbours(config)
     for place, seed in enumerate(TRIALS):
         judge = judges[place % len(judges)]
-        errors += np.log(costs_of_sets(kind, leaders, [judge], TRIAL_CASES, seed)) / len(TRIALS)
+        errors += np.log(costs_of_sets(kind, leaders, [judge], TRIAL_CASES, seed)["costs"]) / len(TRIALS)
     for number, gains in enumerate(leaders):
         counts = counted_at_rest(CONTROLLERS[kind][0](gains, config), config, STANDSTILLS, RESTS)
         errors[number] += PER_RINGING[kind] * max(counts["limit_cycles"], counts["ringing"]) / RESTS
@@ -171,4 +171,4 @@ def neighbours(config: TaskConfig) -> list[TaskConfig]:
 
 def costs_on_rig(kind: str, sets: Sequence[Group], config: TaskConfig) -> Floats:
     """Costs of some sets of gains on the rig of a task, m, (sets,)."""
-    return costs_of_sets(kind, sets, [config], CHOICE_CASES, 0)
+    return costs_of_sets(kind, sets, [config], CHOICE_CASES, 0)["costs"]

@@ -61,13 +61,7 @@ def costs_of(
 
     The candidates run side by side: each drives its slice of one vector environment, on the same cases. A failed axis
     costs the length of the stroke in every remaining period. A candidate that is ``None``, raises an error or returns a
-    command that is not finite costs :data:`REFUSED`.
-
-    Args:
-        config: the task.
-        cases: the same for every candidate.
-        controllers: the candidates.
-        judged: s, end of each episode whose errors count; default: all.
+    command that is not finite costs :data:`REFUSED`. Of each episode the last ``judged`` seconds count; default: all.
     """
     size, candidates = len(cases), len(controllers)
     first = 0 if judged is None else config.steps - round(judged / config.control_period)

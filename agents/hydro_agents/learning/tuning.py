@@ -116,8 +116,8 @@ def tune(
     for generation in range(-(-search.evaluations // search.population)):
         points = [optimiser.ask() for _ in range(search.population)]
         gains = [_gains(start, space.values(point), search.separable) for point in points]
-        found = run_here(Job(costs_in_columns, kind, (gains, tasks, search.cases, search.seed), kind), folder)
-        costs = found["costs"].tolist()
+        job = Job(costs_of_sets, kind, (gains, tasks, search.cases, search.seed), kind)
+        costs = run_here(job, folder)["costs"].tolist()
         optimiser.tell(list(zip(points, costs, strict=True)))
         evaluations = (generation + 1) * search.population
         leader = int(np.argmin(costs))
@@ -156,15 +156,10 @@ def _gains(start: Group, values: Mapping[str, float], rounded: bool) -> Group | 
 
 def costs_of_sets(
     kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
-) -> Floats:
-    """The costs of some sets of gains, of several tasks the geometric means; each worker costs a part of the sets.
+) -> Columns:
+    """The ``costs`` of some sets of gains, of several tasks the geometric means; each worker costs a part of the sets.
 
-    Args:
-        kind: the controller.
-        gains: the sets; ``None`` is refused.
-        tasks: the tasks.
-        cases: of each set, beside the resting ones.
-        seed: of the cases.
+    A set ``None`` is refused. ``cases`` is their number for each set, beside the resting ones.
     """
     count = min(effective_n_jobs(None), len(gains))
     calls = []
@@ -178,16 +173,7 @@ def costs_of_sets(
     for number, task in enumerate(tasks):
         both = tuning_cases(task, cases, seed + number), resting_cases(seed + number)
         found.append(summed_up(costs[2 * number : 2 * number + 2], both))
-    if len(tasks) == 1:
-        return found[0]
-    return np.asarray(np.exp(np.log(found).mean(axis=0)))
-
-
-def costs_in_columns(
-    kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
-) -> Columns:
-    """The costs of :func:`costs_of_sets`, for a :class:`~hydro_agents.running.jobs.Job`."""
-    return {"costs": costs_of_sets(kind, gains, tasks, cases, seed)}
+    return {"costs": found[0] if len(tasks) == 1 else np.exp(np.log(found).mean(axis=0))}
 
 
 def cost_candidates(

@@ -239,9 +239,7 @@ def _smaller_swing(before: Array, change: Array) -> Array:
 class RigsVecEnv(_SharedVecEnv):
     """The axes of several :class:`AxisVecEnv`, one per rig, in one batch; their inputs mean the same on every rig.
 
-    Args:
-        envs: one per rig.
-        features: of the task that the weights' file names.
+    ``features`` are those of the task that the weights' file names.
     """
 
     def __init__(self, envs: Sequence[AxisVecEnv], features: AnyAxisFeatures) -> None:

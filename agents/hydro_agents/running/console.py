@@ -79,9 +79,6 @@ class ProgressDisplay:
     """Progress of one or more phases, each with its remaining time; use as a context manager.
 
     On a terminal each phase is a bar. Elsewhere (a log, CI) a line appears at most every ten seconds.
-
-    Args:
-        console: where to show it; default: standard output.
     """
 
     def __init__(self, console: PlainConsole | None = None) -> None:

@@ -48,9 +48,6 @@ def output_folder(
         resume: whether to continue earlier results; ``None`` for a command that cannot.
         overwrite: whether to remove the earlier results of this command first.
 
-    Yields:
-        The folder.
-
     Raises:
         ConfigurationError: the folder cannot be written, holds results and neither ``resume`` nor ``overwrite`` is
             set, or holds a file with one of these names that the command did not write.
@@ -98,9 +95,8 @@ def _listed(folder: Path, job: str, writes: Sequence[str], resume: bool | None, 
         try:
             files = dict(read_json(folder / MANIFEST_FILE)["files"])
         except (KeyError, TypeError, ValueError):
-            raise ConfigurationError(
-                f"{folder / MANIFEST_FILE}: is not hydro's list of results; move it away"
-            ) from None
+            foreign = folder / MANIFEST_FILE
+            raise ConfigurationError(f"{foreign}: is not hydro's list of results; move it away") from None
     earlier = _present(folder, files.pop(job, []))
     for name in _present(folder, writes):
         if name not in earlier:

@@ -131,15 +131,8 @@ def fingerprint(participant: Any) -> str:
 def run_jobs(listed: Mapping[str, Job], folder: Path | None, progress: Report | None) -> dict[str, JobResult]:
     """Run jobs, or read the results that are already in a folder; after an interruption, finished results stay there.
 
-    Long and short jobs run mixed: the rate of the first ones tells how long all will take.
-
-    Args:
-        listed: each job by a unique key.
-        folder: of the study; results are files in its :data:`JOBS_FOLDER`. ``None`` keeps none.
-        progress: called once the kept results are read, and when a job finishes.
-
-    Returns:
-        The results by the same keys.
+    Long and short jobs run mixed: the rate of the first ones tells how long all will take. Results have the keys of the
+    jobs, and are files in the :data:`JOBS_FOLDER` of the folder.
 
     Raises:
         ConfigurationError: a file cannot be written, or a worker was killed.

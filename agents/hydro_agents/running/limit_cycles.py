@@ -40,10 +40,8 @@ class LimitCycle(NamedTuple):
 def find_limit_cycle(position: NDArray[Any], period: float, floor: float) -> LimitCycle:
     """The oscillation of an axis that should be at rest; slow drift does not count.
 
-    Args:
-        position: true position while the reference is constant, without sensor noise, (T,), m; T ≥ 18.
-        period: time between samples, s.
-        floor: m; a limit cycle has a larger amplitude, and does not decay within the run.
+    The position is true, while the reference is constant, (T,), m; T ≥ 18. A limit cycle has an amplitude above the
+    ``floor`` (m), and does not decay within the run.
     """
     values = np.asarray(position, dtype=np.float64)
     time = np.linspace(-1.0, 1.0, len(values))
@@ -85,14 +83,9 @@ def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArra
 
 
 def counted(rows: pd.DataFrame) -> dict[str, float]:
-    """The standstills of one controller, counted.
+    """The standstills of one controller, counted; one per row, with the columns of :func:`standstill_metrics`.
 
-    Args:
-        rows: one per standstill, with the columns of :func:`standstill_metrics`.
-
-    Returns:
-        ``limit_cycles`` and ``failures`` of ``standstills``; ``largest_amplitude_um`` of a limit cycle (0: there is
-        none) and its ``frequency_hz``.
+    ``largest_amplitude_um`` is 0 and ``frequency_hz`` NaN without a limit cycle.
     """
     cycles = rows[rows["limit_cycle"].astype(bool)].sort_values("amplitude_um")
     amplitude, frequency = 0.0, np.nan

@@ -103,11 +103,7 @@ class Surroundings(Group):
         return self
 
     def task_on(self, base: TaskConfig, where: str) -> TaskConfig:
-        """A task with these changes.
-
-        Args:
-            base: the task.
-            where: for messages, such as ``conditions.<name>``.
+        """A task with these changes; messages begin with ``where``, such as ``conditions.<name>``.
 
         Raises:
             ConfigurationError: the changed task is impossible.

@@ -21,13 +21,9 @@ _DESCRIPTION, _DIGEST = "description", "digest"
 
 
 def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mapping[str, Any]) -> Path:
-    """Write ``path``.safetensors and ``path``.json, each atomically; the JSON holds a digest of both.
+    """Write ``path``.safetensors and ``path``.json, each atomically; the JSON holds a digest of both, and the settings.
 
-    Args:
-        path: without suffix (a suffix ``.safetensors`` or ``.json`` is removed; any other dot belongs to the name).
-        kind: kind of the weights; ``load_weights`` checks it.
-        tensors: arrays by name.
-        settings: everything else that inference needs, as JSON.
+    A suffix ``.safetensors`` or ``.json`` of the path is removed; any other dot belongs to the name.
 
     Raises:
         ConfigurationError: the folder cannot be written.
