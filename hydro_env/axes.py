@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from hydro_env.errors import ConfigurationError
 from hydro_env.plant.arrays import N_DERIVED, functions_of
@@ -45,13 +44,11 @@ from hydro_env.task.record import (
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES, RESTING_FROM, USER_FAMILY
 from hydro_env.task.settings import padded_draws, settings_of
 from hydro_env.task.signals import POSITION, layout_of, observation_layout
-from hydro_env.types import Floats
+from hydro_env.types import Array, Floats, Indices, Mask
 
 AXES_PER_THREAD = 256  # smallest number of axes per thread; with fewer, starting the thread takes longer than its work
 
 _TIP = list(ALL_STATES).index("tip_position")
-
-Indices = NDArray[np.int64]
 
 COLUMN = {name: offset // 8 for name, (_, offset, *_) in (RECORD.fields or {}).items()}
 """Column of :attr:`Axes.numbers` for the (first) number of each field of a record, up to ``noise_key``."""
@@ -66,7 +63,7 @@ class AxesState:
     """
 
     config: TaskConfig
-    arrays: dict[str, NDArray[Any]]
+    arrays: dict[str, Array]
     generator: Mapping[str, Any] | None = None
     history: tuple[tuple[float, float], ...] = ()
 
@@ -173,10 +170,10 @@ class Axes:
         self._note_schedules()
         self.options.used(axes)
 
-    def _rare(self, axes: Indices) -> NDArray[np.bool_]:
+    def _rare(self, axes: Indices) -> Mask:
         """Which of these axes may begin with a fault, a changing force, or a reference at which they hardly move."""
         family, faults = self.options.fixed.family[axes], self.options.fixed.faults[axes]
-        rare: NDArray[np.bool_] = (family >= RESTING_FROM) & (family != USER_FAMILY)
+        rare: Mask = (family >= RESTING_FROM) & (family != USER_FAMILY)
         return rare | ~np.isnan(faults).all(axis=1) | self._is_rare
 
     def _note_schedules(self) -> None:
@@ -200,7 +197,7 @@ class Axes:
             "were drawn"
         )
 
-    def step(self, actions: NDArray[Any]) -> None:
+    def step(self, actions: Array) -> None:
         """Advance every axis by one control period with the commands ``actions``, (N,), within −1 to 1."""
         if self._scheduled:
             task_kernel.follow(self._task, self.record, self.arrays.plant, 0, self.count)
@@ -223,7 +220,7 @@ class Axes:
         numbers = self._kind_of_rig[self.rigs()]
         return [(int(number), np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
 
-    def _advance(self, kernel: Any, arguments: tuple[Any, ...], actions: NDArray[Any]) -> None:
+    def _advance(self, kernel: Any, arguments: tuple[Any, ...], actions: Array) -> None:
         """Advance axes that have one structure, in several threads if they are many."""
         count = len(actions)
         threads = min(self._threads, count // AXES_PER_THREAD)
@@ -239,9 +236,9 @@ class Axes:
         for future in waiting:
             future.result()
 
-    def ended(self) -> NDArray[np.bool_]:
+    def ended(self) -> Mask:
         """True for the axes that have failed or reached the end of their episode, shape (N,)."""
-        ended: NDArray[np.bool_] = (self.column("failure") != NO_FAILURE) | (self.column("step") >= self.steps())
+        ended: Mask = (self.column("failure") != NO_FAILURE) | (self.column("step") >= self.steps())
         return ended
 
     def tip_position(self) -> Floats:
@@ -283,18 +280,18 @@ class Axes:
             self._pool.shutdown()
             self._pool = None
 
-    def _rows(self) -> dict[str, NDArray[Any]]:
+    def _rows(self) -> dict[str, Array]:
         """Every array that an episode depends on, by name; one row per axis."""
         arrays = {**self.arrays._asdict(), "physical": self.physical, "seeds": self._chances.seeds}
         for name, values in self.options.fixed._asdict().items():
             arrays[f"fixed_{name}"] = values
         return arrays
 
-    def get_state(self) -> dict[str, NDArray[Any]]:
+    def get_state(self) -> dict[str, Array]:
         """Every array that an episode depends on, by name, as copies; one row per axis."""
         return {name: values.copy() for name, values in self._rows().items()}
 
-    def set_state(self, rows: Mapping[str, NDArray[Any]]) -> None:
+    def set_state(self, rows: Mapping[str, Array]) -> None:
         """Set arrays of :meth:`get_state`, which have one row per axis or one for all."""
         for name, own in self._rows().items():
             own[:] = rows[name]

@@ -18,12 +18,13 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
+from hydro_env.types import Singles
 from hydro_env.units import resistance_from_flow
 
 if TYPE_CHECKING:
     from hydro_env.rendering import AxisRenderer
 
-Observation = NDArray[np.float32]
+Observation = Singles
 _FLOW, _CLASS, _POSITION, _VELOCITY, _REFERENCE = (
     COLUMN[name] for name in ("leak_flow", "leak_class", "position", "velocity", "reference")
 )
@@ -36,7 +37,7 @@ RENDER_MODES = ("human", "rgb_array")  # with pygame
 FRAMES_PER_SECOND = 50.0  # of a window
 
 
-class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32]]):
+class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
     """A hydraulic cylinder positions a load; its piston seal may leak, and the controller cannot see the leak.
 
     ## Description
@@ -195,7 +196,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
         self._record_frame()
         return self._axes.observation[0].copy(), self._info(self._axes.numbers[0].tolist())
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Singles) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance one control period with a command in [−1, 1], shape (1,).
 
         Raises:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.arguments import numbers, shown
 from hydro_env.errors import ConfigurationError, UnknownKeyError
@@ -18,12 +17,10 @@ from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.record import OPTION_NAMES, Fixed
 from hydro_env.task.reference_signals import FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
 from hydro_env.task.settings import draws_of
-from hydro_env.types import Floats
+from hydro_env.types import Array, Floats, Indices
 
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
 """Parameters that must exceed another one (rod, Coulomb force, precharge): their lowest draw is critical."""
-
-Indices = NDArray[np.int64]
 
 
 def options_given(options: Any) -> dict[str, Any]:
@@ -46,7 +43,7 @@ def _wrong(message: str) -> ConfigurationError:
     return ConfigurationError(f"reset options: {message}")
 
 
-def _of_axes(values: NDArray[Any], axes: Indices) -> NDArray[Any]:
+def _of_axes(values: Array, axes: Indices) -> Array:
     """The rows of these axes; there may be one for each of them, or one for all."""
     return values[axes] if len(values) > len(axes) else values
 
@@ -108,7 +105,7 @@ class ResetOptions:
                 self.set(options_given(own), np.array([axis]))
             return
         given = {name: value for name, value in options_given(options).items() if value is not None}
-        values: dict[str, NDArray[Any]] = {}
+        values: dict[str, Array] = {}
         half = self._half_strokes.min()
         if "rig" in given:
             values["rig"] = self._per_axis(given["rig"], "rig", axes, 0, len(self._rigs) - 1)
@@ -202,7 +199,7 @@ class ResetOptions:
                     "mass; give them in the rig"
                 )
 
-    def _reference(self, given: Any, axes: Indices, half: float) -> dict[str, NDArray[Any]]:
+    def _reference(self, given: Any, axes: Indices, half: float) -> dict[str, Array]:
         """Family of each axis, and the rows of references that the user gives as numbers."""
         array = numbers(given)
         if array is None:

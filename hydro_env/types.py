@@ -1,8 +1,12 @@
-"""Types that every room uses."""
+"""Types of arrays that every room uses; the docstring of a function or field gives shape and unit."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]  # each docstring gives shape and unit
-Mask = NDArray[np.bool_]  # an array of truth values
-Indices = NDArray[np.int64]  # an array of whole numbers
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]  # in single precision, as observations and networks have them
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Array = NDArray[Any]

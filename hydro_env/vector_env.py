@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hydro_env.arguments import numbers, shown, whole_number
-from hydro_env.axes import AxesState, Indices
+from hydro_env.axes import AxesState
 from hydro_env.common import AxisEnvironment, Given
 from hydro_env.errors import ConfigurationError
 from hydro_env.reset_options import options_given
@@ -20,17 +20,14 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES, NO_FAILURE
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
-from hydro_env.types import Floats
+from hydro_env.types import Array, Floats, Indices, Mask, Singles
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
-
-Observations = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 MOST_AXES = 1_000_000
 MOST_THREADS = 1024
 
 
-class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[np.float32], NDArray[Any]]):
+class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array]):
     """N independent axes of :class:`~hydro_env.env.ServoHydraulicEnv`, which describes spaces, rewards and options.
 
     ``gym.make_vec("ServoHydraulic-v0", num_envs=N)`` makes it. With the same seed an axis gives the same numbers as
@@ -95,7 +92,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Any = None
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[Singles, dict[str, Any]]:
         """Begin an episode on every axis, or on those of ``options["reset_mask"]``.
 
         Args:
@@ -157,14 +154,14 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
             if value is not None:
                 self._axes.seed(int(axis), seeding.np_random(value)[0])
 
-    def step(self, actions: NDArray[np.float32]) -> tuple[Observations, Floats, Flags, Flags, dict[str, Any]]:
+    def step(self, actions: Singles) -> tuple[Singles, Floats, Mask, Mask, dict[str, Any]]:
         """Advance every axis by one control period.
 
         Args:
             actions: (N, 1), commands in [−1, 1].
 
         Returns:
-            Observations (N, n), rewards (N,), terminated (N,), truncated (N,), info; new arrays at each call.
+            Singles (N, n), rewards (N,), terminated (N,), truncated (N,), info; new arrays at each call.
 
         Raises:
             ConfigurationError: an action is NaN or infinite, the shape is wrong, or ``reset`` was not called.
@@ -204,7 +201,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
     def _finish(self) -> dict[str, Any]:
         """Restart the axes that ended in this step; returns their last observation and info."""
         mask, ended = self._ended, np.flatnonzero(self._ended)
-        last: NDArray[Any]
+        last: Array
         if self._info_kind == "flat":
             last = np.where(mask[:, None], self._axes.observation, np.float32(0.0))
             final = {f"final_{name}": values for name, values in self._info(ended).items() if name[0] != "_"}
@@ -235,8 +232,8 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
             present = np.zeros(self.num_envs, dtype=np.bool_)
             present[axes] = True
 
-        def column(name: str) -> NDArray[Any]:
-            values: NDArray[Any] = self._axes.record[name].copy()
+        def column(name: str) -> Array:
+            values: Array = self._axes.record[name].copy()
             if present is not self._present:
                 values[~present] = 0.0
             return values
@@ -282,7 +279,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
             axes.close()
 
 
-def _names_of(codes: Indices, known: Sequence[str], present: Flags) -> NDArray[np.object_]:
+def _names_of(codes: Indices, known: Sequence[str], present: Mask) -> NDArray[np.object_]:
     """The name of each code; None if an axis is not present.
 
     Filled code by code: NumPy 2.0 to 2.2.2 crash when two threads repeat an array of objects.
@@ -293,7 +290,7 @@ def _names_of(codes: Indices, known: Sequence[str], present: Flags) -> NDArray[n
     return names
 
 
-def _present_values(values: Mapping[str, Floats], present: Flags) -> dict[str, Any]:
+def _present_values(values: Mapping[str, Floats], present: Mask) -> dict[str, Any]:
     """Each array where an axis is present and its value is not 0, and a mask of those axes; nothing without any."""
     found: dict[str, Any] = {}
     for name, array in values.items():

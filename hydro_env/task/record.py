@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.compiling import numba
 from hydro_env.plant.kernel import N_COEFFICIENTS, N_PEAKS
@@ -13,7 +12,7 @@ from hydro_env.plant.states import N_ALL_STATES, STATE_NAMES
 from hydro_env.task.faults import FAULT_KINDS, FAULTS
 from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.task.sensors import CHANNELS
-from hydro_env.types import Floats
+from hydro_env.types import Array, Floats, Indices, Singles
 
 MOST_LATE = 5  # largest latency of a command in control periods
 
@@ -86,18 +85,18 @@ It is one array instead of four, because passing an array to compiled code takes
 class AxisArrays(NamedTuple):
     """Arrays of N axes that a step reads and writes."""
 
-    record: NDArray[Any]  # (N,), RECORD
+    record: Array  # (N,), RECORD
     plant: Floats  # (N, PLANT_COLUMNS)
     reference: Floats  # (N, samples), m
-    observation: NDArray[np.float32]  # (N, observations)
+    observation: Singles  # (N, observations)
 
 
 class Chances(NamedTuple):
     """Seeds and distributions of the episodes of N axes."""
 
-    seeds: NDArray[Any]  # (N,), SEEDS
+    seeds: Array  # (N,), SEEDS
     plant: Floats  # (rigs, parameters), nominal values
-    draws: NDArray[Any]  # (rigs, drawn parameters), DRAW
+    draws: Array  # (rigs, drawn parameters), DRAW
     family_weights: Floats  # (families,)
 
 
@@ -107,8 +106,8 @@ class Fixed(NamedTuple):
     parameters: Floats  # (N, parameters)
     leakage_flow_lpm: Floats  # (N,), l/min at 100 bar
     initial_position: Floats  # (N,), m
-    rig: NDArray[np.int64]  # (N,), −1 means drawn
-    family: NDArray[np.int64]  # (N,)
+    rig: Indices  # (N,), −1 means drawn
+    family: Indices  # (N,)
     user_reference: Floats  # (N, samples), m
     faults: Floats  # (N, faults), magnitudes
 
@@ -131,7 +130,7 @@ NO_FAILURE, HIT_END_STOP, OVERPRESSURE, FIRST_INVALID_STATE = range(4)
 OVER_BUDGET, CANNOT_BE_HELD, CANNOT_BE_REACHED = range(len(FAILURES) - 3, len(FAILURES))
 
 
-def table(count: int, kind: np.dtype[Any]) -> NDArray[Any]:
+def table(count: int, kind: np.dtype[Any]) -> Array:
     """Rows of zeros with fields that kernels access by name, even with numba's compiler switched off."""
     rows = np.zeros(count, kind)
     return rows.view(np.recarray) if numba().config.DISABLE_JIT else rows

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group
@@ -18,6 +17,7 @@ from hydro_env.task.randomisation import own_value
 from hydro_env.task.record import table
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.sensors import CHANNELS, Sensor
+from hydro_env.types import Array
 
 ERROR_INTEGRAL_TIME = 0.5  # s; time constant of the observed leaky integral of the error
 ERROR_INTEGRAL_LIMIT = 0.010  # m s; the observed integral saturates here
@@ -94,7 +94,7 @@ _DERIVED = np.dtype(
 SETTINGS = np.dtype(_TASK.descr + _DERIVED.descr)  # every number, choice and range of TaskConfig, and derived values
 
 
-def settings_of(config: TaskConfig) -> NDArray[Any]:
+def settings_of(config: TaskConfig) -> Array:
     """The numbers of a task, shape (1,), fields as in :data:`SETTINGS`."""
     period, sensors = config.control_period, config.sensors
     # The 10–90 % rise of a first-order lag is τ ln 9. Exact sensors have no lag.
@@ -157,7 +157,7 @@ DRAW = np.dtype(
 """Distribution of one parameter of the plant."""
 
 
-def padded_draws(tasks: Sequence[TaskConfig]) -> NDArray[Any]:
+def padded_draws(tasks: Sequence[TaskConfig]) -> Array:
     """The rows of :func:`draws_of` of each task, (tasks, most drawn parameters); parameter −1 ends a shorter list."""
     rows = [draws_of(task) for task in tasks]
     padded = table(len(rows) * max(map(len, rows)), DRAW).reshape(len(rows), -1)
@@ -167,7 +167,7 @@ def padded_draws(tasks: Sequence[TaskConfig]) -> NDArray[Any]:
     return padded
 
 
-def draws_of(config: TaskConfig) -> NDArray[Any]:
+def draws_of(config: TaskConfig) -> Array:
     """One row (:data:`DRAW`) per randomised parameter; a parameter that multiplies another comes before it.
 
     Raises:

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.compiling import inline, named_tuple
 from hydro_env.task.configuration import TaskConfig
@@ -22,7 +20,7 @@ from hydro_env.task.random_numbers import between, noise_pair
 from hydro_env.task.record import table
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.settings import ERROR_INTEGRAL_LIMIT
-from hydro_env.types import Floats
+from hydro_env.types import Array, Floats
 
 POSITION, PRESSURE_A, PRESSURE_B, SPOOL_POSITION = (
     CHANNELS.index(name) for name in ("position", "pressure_a", "pressure_b", "spool_position")
@@ -144,7 +142,7 @@ def data_sheet(config: TaskConfig) -> dict[str, float]:
     return {name: float(np.clip(values[name], -SHEET_LIMIT, SHEET_LIMIT)) for name in SHEET}
 
 
-def layout_of(config: TaskConfig, law: RigLaw | None = None) -> NDArray[Any]:
+def layout_of(config: TaskConfig, law: RigLaw | None = None) -> Array:
     """The layout of the observation for compiled code, one row (:data:`LAYOUT`) per entry.
 
     With a law the task is that on one of the rigs that the law draws.

@@ -17,6 +17,7 @@ from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import preview_count
 from hydro_env.task.signals import observation_layout
+from hydro_env.types import Array, Floats, Mask, Singles
 
 Observation = NDArray[np.floating[Any]]
 
@@ -46,12 +47,8 @@ class Controller(Protocol):
     """
 
     def predict(
-        self,
-        observation: Observation,
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], Any]:
+        self, observation: Observation, state: Any = None, episode_start: Mask | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
         """Commands for the observations, and the state for the next call.
 
         Args:
@@ -103,12 +100,12 @@ class ObservationLayout:
             raise ConfigurationError(f"the observation holds no '{name}'; it holds: {', '.join(self.names)}")
         return self.names.index(name)
 
-    def si(self, observation: Observation, name: str) -> NDArray[np.float64]:
+    def si(self, observation: Observation, name: str) -> Floats:
         """A signal in SI units from a batch of observations (N, n)."""
         column = self.index(name)
         return observation[:, column].astype(np.float64) * self.scale[column]
 
-    def speed_at_start(self, observation: Observation, full_speed: float) -> NDArray[np.float64]:
+    def speed_at_start(self, observation: Observation, full_speed: float) -> Floats:
         """Measured speed of axes that a controller takes over, m/s, (N,); 0 for those that rest but for noise."""
         speed = self.si(observation, "velocity_estimate")
         return np.where(np.abs(speed) > MOVING * full_speed, speed, 0.0)
@@ -131,7 +128,7 @@ class ObservationLayout:
         named = [1e-3 * float(name[len(prefix) : -len("ms")]) for name in self.names if name.startswith(prefix)]
         return tuple(shown_time(time, period) for time in named)
 
-    def previews(self, observation: Observation) -> NDArray[np.float64]:
+    def previews(self, observation: Observation) -> Floats:
         """Future reference minus present reference, m, shape (N, previews)."""
         columns = [i for i, name in enumerate(self.names) if name.startswith("reference_preview_")]
         scale = np.array([self.scale[i] for i in columns], dtype=np.float64)
@@ -206,12 +203,8 @@ class ClassicalController:
         self.gains, self.config, self.layout = gains, config, ObservationLayout.of(config)
 
     def predict(
-        self,
-        observation: Observation,
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], Any]:
+        self, observation: Observation, state: Any = None, episode_start: Mask | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
         """Commands for the observations; see :class:`Controller`."""
         del deterministic
         batch, single = as_batch(observation, state)
@@ -220,13 +213,11 @@ class ClassicalController:
         action = command.astype(np.float32)[:, None]
         return (action[0] if single else action), state
 
-    def act(
-        self, batch: Observation, state: Any, episode_start: NDArray[np.bool_] | None
-    ) -> tuple[NDArray[np.float64], Any]:
+    def act(self, batch: Observation, state: Any, episode_start: Mask | None) -> tuple[Floats, Any]:
         """Commands before their limits, (N,), for a batch of observations, and the new memory."""
         raise NotImplementedError
 
-    def estimates(self, memory: Any) -> NDArray[np.float32]:
+    def estimates(self, memory: Any) -> Singles:
         """What the controller estimates, (N, estimates), numbers of order 1."""
         raise NotImplementedError
 
@@ -268,14 +259,14 @@ def search_space(gains: type[Group], plant: PlantParameters) -> dict[str, tuple[
     return space
 
 
-def rows(memory: Any, axes: NDArray[Any] | slice) -> Any:
+def rows(memory: Any, axes: Array | slice) -> Any:
     """The memory of some axes: arrays, nested in named tuples; ``None`` stays."""
     if isinstance(memory, tuple):
         return type(memory)(*(rows(part, axes) for part in memory))
     return None if memory is None else memory[axes]
 
 
-def restarted(memory: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:
+def restarted(memory: Memory | None, fresh: Memory, episode_start: Mask | None) -> Memory:
     """The memory, with ``fresh`` for the axes at the start of an episode; ``None``: for all axes."""
     if memory is None:
         return fresh

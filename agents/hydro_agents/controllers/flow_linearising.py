@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import ClassicalController, Observation, gain, log_gain, restarted
 from hydro_agents.controllers.flow_model import Flow, FlowModel
@@ -19,7 +18,7 @@ from hydro_env import TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
 from hydro_env.task.paces import delay, full_speed, pace
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Mask, Singles
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 _REVERSAL = 0.3  # reference speed, as a fraction of the Stribeck speed, around which the friction changes its sign
@@ -151,7 +150,7 @@ class FlowLinearising(ClassicalController):
         return np.stack([path_weights(self._ahead, horizon, period), *speeds], axis=1)
 
     def act(
-        self, batch: Observation, state: FlowLinearisingState | None, episode_start: NDArray[np.bool_] | None
+        self, batch: Observation, state: FlowLinearisingState | None, episode_start: Mask | None
     ) -> tuple[Floats, FlowLinearisingState]:
         """See :meth:`~hydro_agents.controllers.base.ClassicalController.act`."""
         si = self.layout.si
@@ -180,7 +179,7 @@ class FlowLinearising(ClassicalController):
         command = self._model.opening((wanted_speed - other_speed) / flow_gain, flow)
         return command, now
 
-    def estimates(self, memory: FlowLinearisingState) -> NDArray[np.float32]:
+    def estimates(self, memory: FlowLinearisingState) -> Singles:
         """Estimates of the controller, (N, 5), numbers of order 1.
 
         Reference minus position in 0.1 mm, flow gain in tenths, leak in l/min at 100 bar, offset in hundredths of full

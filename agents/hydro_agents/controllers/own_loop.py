@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hydro_agents.controllers.by_name import imported
 from hydro_agents.controllers.flow_model import FlowModel
@@ -16,6 +16,7 @@ from hydro_env.task.record import RECORD, table
 from hydro_env.task.sensors import CHANNEL_UNITS, CHANNELS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import POSITION, PRESSURE_A, PRESSURE_B, layout_of, observation_layout
+from hydro_env.types import Mask
 from hydro_env.units import FULL_VOLTAGE
 
 OUT_OF_RANGE = 0.025  # share of its range by which a signal may lie outside; beyond (of 4–20 mA below 3.6), it is lost
@@ -98,7 +99,7 @@ class OwnLoop:
         self._record["command"] = command
         return FULL_VOLTAGE * command
 
-    def _read(self, reference: Any, measured: dict[str, Any]) -> NDArray[np.bool_]:
+    def _read(self, reference: Any, measured: dict[str, Any]) -> Mask:
         """Write a sample into the record, in SI units; whether each fitted sensor, and the reference, are present."""
         wanted = np.atleast_1d(np.asarray(reference, float)) * self._units[POSITION]  # None becomes NaN
         if not measured.keys() <= CHANNEL_UNITS.keys() or wanted.shape not in ((1,), (len(self._places),)):
@@ -111,7 +112,7 @@ class OwnLoop:
             self._reference[self._places] = wanted
         return np.append(present[self._fitted], np.isfinite(wanted).all())
 
-    def _answer(self, present: NDArray[np.bool_]) -> float:
+    def _answer(self, present: Mask) -> float:
         """The controller's command; the head reads the same observation, except lost signals."""
         observation = np.zeros((1, len(self._layout)), dtype=np.float32)
         observe(self._settings, self._layout, self._record, self._reference, observation, self._before)

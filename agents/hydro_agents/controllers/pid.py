@@ -6,14 +6,13 @@ from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from hydro_agents.controllers.base import ClassicalController, Observation, gain, log_gain, restarted
 from hydro_env import TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Mask
 
 NOISES = 2.0  # half width of the ramp across the dead band of a valve, in standard deviations of the command's noise
 
@@ -92,9 +91,7 @@ class PID(ClassicalController):
             noise = gains.proportional * max(sensor.noise, sensor.resolution)
             self._ramp = max(NOISES * noise, valve.underlap, 1e-6)
 
-    def act(
-        self, batch: Observation, state: PIDState | None, episode_start: NDArray[np.bool_] | None
-    ) -> tuple[Floats, PIDState]:
+    def act(self, batch: Observation, state: PIDState | None, episode_start: Mask | None) -> tuple[Floats, PIDState]:
         """See :meth:`~hydro_agents.controllers.base.ClassicalController.act`."""
         g, period = self.gains, self.layout.control_period
         error = self.layout.si(batch, "tracking_error")

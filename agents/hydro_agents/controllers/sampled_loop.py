@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hydro_env.errors import HydroError
@@ -15,7 +13,7 @@ from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import typical_sizes
 from hydro_env.task.paces import periods_late
-from hydro_env.types import Floats
+from hydro_env.types import Array, Floats
 from hydro_env.units import FULL_VOLTAGE
 
 CONTROL_PERIOD = 5e-3  # s
@@ -46,7 +44,7 @@ class SampledLoop:
     control_period: float  # s
     late: int = 0  # whole periods
 
-    def closed(self, gain: complex | NDArray[Any]) -> NDArray[Any]:
+    def closed(self, gain: complex | Array) -> Array:
         """Transition matrix of one period with the loop closed, (..., n + 1 + late, n + 1 + late).
 
         It holds the states and the last commands, newest first. A complex gain turns the phase of the loop at every
@@ -73,7 +71,7 @@ class SampledLoop:
         """Whether the closed loop is stable; rounding at the limit counts as stable."""
         return self.spectral_radius(gain) <= 1.0 + _NEUTRAL
 
-    def _first_unstable(self, gains: NDArray[Any]) -> int | None:
+    def _first_unstable(self, gains: Array) -> int | None:
         """Index of the first of some gains with which the closed loop is unstable."""
         radii = np.abs(np.linalg.eigvals(self.closed(gains))).max(axis=-1)
         unstable = np.flatnonzero(radii > 1.0 + _NEUTRAL)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import SIGNALS
+from hydro_env.types import Array
 
 STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3  # m/s; below the first the axis stands, from the second on it moves
 _SPAN = 0.1  # averaging time in s of the position before its travel is computed, which removes the noise
@@ -22,7 +22,7 @@ class Activity(IntEnum):
     MOVING = 2
 
 
-def activity_of(signals: NDArray[Any], control_period: float) -> NDArray[np.int8]:
+def activity_of(signals: Array, control_period: float) -> NDArray[np.int8]:
     """:class:`Activity` (N,) during windows of signals (N, 5, T) in SI units; lost samples are left out."""
     position = np.asarray(signals[:, SIGNALS.index("position")], dtype=np.float64)
     count = max(round(_SPAN / control_period), 1)

@@ -27,9 +27,7 @@ from pydantic import Field
 from hydro_agents.detection.activity import Activity
 from hydro_agents.detection.detector import Reading
 from hydro_env.files import Group, read_yaml, validate
-from hydro_env.types import Floats
-
-Flags = NDArray[np.bool_]
+from hydro_env.types import Floats, Mask
 
 OUTLIER = 3.0  # standard deviations; a look farther from the mean of those before it counts as this far
 
@@ -79,13 +77,13 @@ class AlarmState(NamedTuple):
     mean: Floats  # (N, activities), of the first scores in each activity
     seen: Floats  # (N, activities), how many of them
     total: Floats  # (N,), S above
-    alarm: Flags  # (N,), latched
+    alarm: Mask  # (N,), latched
 
 
 class Alarm(NamedTuple):
     """State of the alarms after a look, each (N,)."""
 
-    alarm: Flags  # latched until ``reset``
+    alarm: Mask  # latched until ``reset``
     total: Floats  # the sum divided by its threshold; the alarm rises above 1
 
 
@@ -149,6 +147,6 @@ class LeakAlarm:
         after.seen[axes, activity] += learns
         return Alarm(alarm, total / self.settings.threshold), after
 
-    def reset(self, state: AlarmState, axes: Flags) -> AlarmState:
+    def reset(self, state: AlarmState, axes: Mask) -> AlarmState:
         """Acknowledge the alarms of some axes (N,): their evidence starts at zero again, their baselines stay."""
         return state._replace(total=np.where(axes, 0.0, state.total), alarm=state.alarm & ~axes)

@@ -25,7 +25,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.balance_parts import best_valve, factor, hold, spool_between, substitute, whiten
 from hydro_agents.detection.sheet import POINTS, Sheet, Unknowns
@@ -35,6 +34,7 @@ from hydro_env.plant.parts.chambers import chamber_volumes
 from hydro_env.plant.parts.supply import supply_rates
 from hydro_env.plant.parts.valve import smooth_root
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
+from hydro_env.types import Floats
 
 ITERATIONS = 12  # largest number of evaluations of the balance
 FIRST_DAMPING = 1e-3  # fraction of the normal matrix's diagonal that is added to it (Levenberg–Marquardt)
@@ -215,13 +215,13 @@ class _Sums(NamedTuple):
 class BalanceFit(NamedTuple):
     """The fit of N windows of T samples."""
 
-    estimate: NDArray[np.float64]  # (N, COUNT), of the unknowns
-    deviation: NDArray[np.float64]  # (N, COUNT), their standard deviations
-    misfit: NDArray[np.float64]  # (N, 2), mean squares of the whitened residuals; about 1 where the model holds
-    correlation: NDArray[np.float64]  # (N, 2), of successive whitened residuals; about 0 where the model holds
-    spool_error: NDArray[np.float64]  # (N, T), spool reading minus the response of the best-fitting candidate valve
-    part: NDArray[np.float64]  # (N, TRACED, PARTS), unknowns of each part alone, the other estimates unchanged
-    part_deviation: NDArray[np.float64]  # (N, TRACED, PARTS)
+    estimate: Floats  # (N, COUNT), of the unknowns
+    deviation: Floats  # (N, COUNT), their standard deviations
+    misfit: Floats  # (N, 2), mean squares of the whitened residuals; about 1 where the model holds
+    correlation: Floats  # (N, 2), of successive whitened residuals; about 0 where the model holds
+    spool_error: Floats  # (N, T), spool reading minus the response of the best-fitting candidate valve
+    part: Floats  # (N, TRACED, PARTS), unknowns of each part alone, the other estimates unchanged
+    part_deviation: Floats  # (N, TRACED, PARTS)
 
 
 @inline
@@ -434,7 +434,7 @@ def _build(sources: int) -> Any:
 fit = _build(SOURCES)
 
 
-def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> BalanceFit:
+def fit_balance(signals: Floats, sheet: Sheet) -> BalanceFit:
     """Fit the flow balance of windows of SIGNALS, (N, 5, T), in SI units and without NaN."""
     count, _, samples = signals.shape
     shapes = ((COUNT,), (COUNT,), (2,), (2,), (samples,), (TRACED, PARTS), (TRACED, PARTS))

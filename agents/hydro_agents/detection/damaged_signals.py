@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.balance_parts import follow_commands
 from hydro_agents.detection.sheet import POINTS, Sheet
 from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled, inline
 from hydro_env.task.sensors import COMMAND, SENSORS, SPOOL
+from hydro_env.types import Array, Floats, Mask
 
 LONGEST_GAP = 5  # samples; a reading that stays at the lower end of its range for longer is valid
 
@@ -120,11 +120,11 @@ repair, find_stuck = _build_repair(SOURCES), _build_find_stuck(SOURCES)
 class Repaired(NamedTuple):
     """Signals without gaps."""
 
-    signals: NDArray[np.float64]  # (N, 5, T), lost samples replaced by the previous reading
-    lost: NDArray[np.float64]  # (N, 4), share of lost samples of each sensor
+    signals: Floats  # (N, 5, T), lost samples replaced by the previous reading
+    lost: Floats  # (N, 4), share of lost samples of each sensor
 
 
-def repaired(signals: NDArray[Any], sheet: Sheet) -> Repaired:
+def repaired(signals: Array, sheet: Sheet) -> Repaired:
     """Fill lost samples: NaN, and short falls to the lower end of a sensor's range.
 
     Without any reading of the spool, the usual valve's response to the commands takes its place.
@@ -135,7 +135,7 @@ def repaired(signals: NDArray[Any], sheet: Sheet) -> Repaired:
     return result
 
 
-def bounds_of(config: TaskConfig) -> NDArray[np.float64]:
+def bounds_of(config: TaskConfig) -> Floats:
     """For each sensor, (4, 3): range of readings in which it is judged, and number of equal readings of a stuck one.
 
     At an end of its range a working sensor repeats itself as well. A sensor with noise below one acquisition step is
@@ -151,7 +151,7 @@ def bounds_of(config: TaskConfig) -> NDArray[np.float64]:
     return np.array(rows, dtype=np.float64)
 
 
-def stuck_sensors(signals: NDArray[np.float64], config: TaskConfig) -> NDArray[np.bool_]:
+def stuck_sensors(signals: Floats, config: TaskConfig) -> Mask:
     """Whether each sensor of the task is stuck in each window, (N, 4), of signals (N, 5, T) in SI units."""
     stuck = np.empty((len(signals), len(SENSORS)))
     find_stuck(np.ascontiguousarray(signals, dtype=np.float64), bounds_of(config), stuck)

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, cut, measured_run
@@ -25,6 +24,7 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, SIGNED_KINDS, fault_limits, faults_of
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Array, Floats, Indices, Singles
 
 EXTERNAL_LEAK = "external_leak"
 UNSEEN = ("position_offset",)  # faults that are invisible in the measured signals; they get no label
@@ -68,15 +68,15 @@ LATEST = 0.9  # latest onset of a leak, as a fraction of the window
 class LabelledWindows(NamedTuple):
     """N labelled windows."""
 
-    features: NDArray[np.float32]  # (N, F); with a law those of the rig at the end
-    labels: NDArray[np.float32]  # (N, labels), 0 or 1
-    size: NDArray[np.float64]  # (N,), internal leak, in the rig's unit of leaks
-    fault: NDArray[np.int64]  # (N,), index into FAULTS of the first fault, −1 for none
-    leak: NDArray[np.int64]  # (N,), index into LEAK_COURSES
-    noise: NDArray[np.float64]  # (N,), of the sensors, as a factor on the task's
-    disturbance: NDArray[np.float64]  # (N,), its range in the window over the noticeable one; 0: none
+    features: Singles  # (N, F); with a law those of the rig at the end
+    labels: Singles  # (N, labels), 0 or 1
+    size: Floats  # (N,), internal leak, in the rig's unit of leaks
+    fault: Indices  # (N,), index into FAULTS of the first fault, −1 for none
+    leak: Indices  # (N,), index into LEAK_COURSES
+    noise: Floats  # (N,), of the sensors, as a factor on the task's
+    disturbance: Floats  # (N,), its range in the window over the noticeable one; 0: none
 
-    def part(self, chosen: NDArray[Any]) -> LabelledWindows:
+    def part(self, chosen: Array) -> LabelledWindows:
         """Some of the windows."""
         return LabelledWindows(*(values[chosen] for values in self))
 
@@ -159,11 +159,7 @@ class TrainingPlan:
 
 
 def simulated(
-    controller: Controller | None,
-    settings: HeadTrainingSettings,
-    chunk: Chunk,
-    seeds: NDArray[np.int64],
-    config: TaskConfig,
+    controller: Controller | None, settings: HeadTrainingSettings, chunk: Chunk, seeds: Indices, config: TaskConfig
 ) -> Columns:
     """The windows of one chunk."""
     generator = np.random.default_rng([int(seeds[0]), chunk.row])
@@ -268,7 +264,7 @@ def _acting(
     return controller
 
 
-def _leaks(generator: np.random.Generator, config: TaskConfig, count: int) -> NDArray[np.float64]:
+def _leaks(generator: np.random.Generator, config: TaskConfig, count: int) -> Floats:
     """Leaks in the rig's unit: healthy, or above the healthy bound; log-uniform."""
     bound, largest = config.leakage.class_bounds[0], LEAKAGE_LIMIT / leak_scale(config)
     healthy = generator.random(count) < HEALTHY_SHARE
@@ -280,7 +276,7 @@ def _leaks(generator: np.random.Generator, config: TaskConfig, count: int) -> ND
 
 def draw_faults(
     config: TaskConfig, generator: np.random.Generator, count: int, share: float
-) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64], NDArray[np.float32]]:
+) -> tuple[dict[str, Floats], Indices, Singles]:
     """Faults of axes by name, the index of the first one of each axis (−1: none), and the labels of all."""
     sizes = {name: np.zeros(count) for name in FAULTS}
     # Beside a leak from chamber b, a valve without underlap holds no weight: it lets chamber a run empty.

@@ -30,7 +30,7 @@ from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_env import TaskConfig
 from hydro_env.task.faults import KIND_OF_FAULT
 from hydro_env.task.sensors import SENSORS
-from hydro_env.types import Floats
+from hydro_env.types import Array, Floats, Indices, Mask
 
 SIGNALS = (*SENSORS, "previous_command")  # measured signals of a window, in this order
 HALF_WIDTH = 1.645  # half width of a 90 % interval, in standard deviations
@@ -110,7 +110,7 @@ class Windows:
     auxiliary: Mapping[str, Floats] = field(default_factory=dict)  # the recorded ones of AUXILIARY, each (N, T)
 
     @classmethod
-    def of(cls, signals: NDArray[Any]) -> Windows:
+    def of(cls, signals: Array) -> Windows:
         """Windows (N, 5, T) whose times do not matter."""
         unknown = np.full(len(signals), np.nan)
         return cls(np.asarray(signals, dtype=np.float64), unknown, unknown)
@@ -145,7 +145,7 @@ class Windows:
         return self.auxiliary.get(name, absent)
 
     @property
-    def commanded(self) -> NDArray[np.bool_]:
+    def commanded(self) -> Mask:
         """Windows whose commands are all known, (N,): a simulation needs every command."""
         return np.asarray(np.isfinite(self.signal("previous_command")).all(axis=1))
 
@@ -165,7 +165,7 @@ class Windows:
             left.append(name)
         return tuple(left)
 
-    def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
+    def part(self, chosen: Mask | Indices) -> Windows:
         """Some of the windows."""
         auxiliary = {name: values[chosen] for name, values in self.auxiliary.items()}
         return Windows(self.signals[chosen], self.begin[chosen], self.end[chosen], auxiliary)
@@ -197,7 +197,7 @@ class MeasuredColumns(NamedTuple):
         columns = [layout.index(SIGNALS[row]) for row in rows]
         return cls(rows, columns, np.array([layout.scale[column] for column in columns]))
 
-    def si(self, observed: NDArray[Any]) -> Floats:
+    def si(self, observed: Array) -> Floats:
         """Signals (N, 5, T) in SI units from these columns of observations, (N, columns, T); NaN: no such sensor."""
         signals = np.full((len(observed), len(SIGNALS), observed.shape[2]), np.nan)
         signals[:, self.rows] = observed.astype(np.float64) * self.scale[:, None]
@@ -216,7 +216,7 @@ def measured_run(config: TaskConfig, controller: Controller, cases: Cases) -> tu
     return measured.si(run.signals), run
 
 
-def cut(runs: NDArray[Any], begins: NDArray[Any], samples: int) -> NDArray[Any]:
+def cut(runs: Array, begins: Array, samples: int) -> Array:
     """Windows (N, C, samples) of runs (N, C, T), each from a sample of its own on."""
     windows = sliding_window_view(runs, samples, axis=2)
     return np.asarray(windows[np.arange(len(runs)), :, begins])
@@ -263,12 +263,12 @@ class Reading(NamedTuple):
         return cls(*arrays)
 
     @property
-    def answers(self) -> NDArray[np.bool_]:
+    def answers(self) -> Mask:
         """Windows for which the detector gives an answer, (N,)."""
         return np.asarray(np.isfinite(self.score) & (self.cause < Cause.UNKNOWN))
 
     @property
-    def sized(self) -> NDArray[np.bool_]:
+    def sized(self) -> Mask:
         """Windows with an answer that gives the size of the leak with an interval, (N,)."""
         return np.asarray(self.answers & np.isfinite(self.flow_lpm + self.low_lpm + self.high_lpm))
 
@@ -277,19 +277,19 @@ class Reading(NamedTuple):
         """The reason for no answer of each window in words; empty for an answer."""
         return [Why(why).word for why in self.why.tolist()]
 
-    def part(self, chosen: NDArray[np.int64]) -> Reading:
+    def part(self, chosen: Indices) -> Reading:
         """Some of the windows."""
         some: Any = (values[chosen] for values in self)
         return Reading(*some)
 
-    def replaced(self, chosen: NDArray[np.int64], other: Reading) -> Reading:
+    def replaced(self, chosen: Indices, other: Reading) -> Reading:
         """This reading with the windows ``chosen`` as another one reads them."""
         copies: list[Any] = [values.copy() for values in self]
         for values, new in zip(copies, other, strict=True):
             values[chosen] = new
         return Reading(*copies)
 
-    def among(self, chosen: NDArray[np.int64], count: int, why: Why) -> Reading:
+    def among(self, chosen: Indices, count: int, why: Why) -> Reading:
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""
         return Reading.of(np.full(count, np.nan), why=why).replaced(chosen, self)
 
@@ -322,7 +322,7 @@ def logit(probability: ArrayLike) -> Floats:
     return np.asarray(np.log(inside / (1.0 - inside)))
 
 
-def threshold_at_false_alarm_rate(healthy_scores: NDArray[Any], rate: float) -> float:
+def threshold_at_false_alarm_rate(healthy_scores: Array, rate: float) -> float:
     """Lowest threshold that flags at most the share ``rate`` of the healthy scores."""
     ordered = np.sort(np.asarray(healthy_scores, dtype=np.float64))[::-1]
     allowed = int(np.floor(rate * len(ordered)))

@@ -18,7 +18,7 @@ from hydro_agents.running.cases import TrueStateController
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.states import State
-from hydro_env.types import Floats
+from hydro_env.types import Array, Floats, Mask, Singles
 
 Span = tuple[float, float]
 
@@ -73,14 +73,14 @@ class Disturbances(NamedTuple):
     """One disturbance of each of N axes over T control periods."""
 
     course: Floats  # (N, 4, T)
-    direct: NDArray[np.bool_]  # (N,), the pressure at the valve follows at once; else the setting of the relief valve
+    direct: Mask  # (N,), the pressure at the valve follows at once; else the setting of the relief valve
 
-    def felt(self, begins: NDArray[Any], samples: int) -> Floats:
+    def felt(self, begins: Array, samples: int) -> Floats:
         """Ranges of the courses in one window of each axis, over :data:`NOTICEABLE`, the largest; (N,)."""
         ranges = np.ptp(cut(self.course, begins, samples), axis=2)
         return np.asarray((ranges / NOTICEABLE).max(axis=1))
 
-    def read(self, signals: NDArray[Any]) -> None:
+    def read(self, signals: Array) -> None:
         """Add the drift of the transducers to readings, (N, signals, T) in Pa, in place."""
         signals[:, PRESSURES] += self.course[:, (PRESSURE_A, PRESSURE_B)]
 
@@ -116,7 +116,7 @@ class Disturbed:
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[NDArray[np.float32], Any]:
+    ) -> tuple[Singles, Any]:
         """Commands of the controller; the pressures of this control period are set before it."""
         course, direct = self.disturbances.course[:, :, self._step], self.disturbances.direct
         (relief, tank), supply = self._start[0].T, self._start[1]

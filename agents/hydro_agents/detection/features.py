@@ -6,7 +6,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.balance import EXTERNAL, INTERNAL, OVERLAP, PARTS, SUPPLY, TRACED, fit_balance
 from hydro_agents.detection.balance_parts import factor, substitute
@@ -15,6 +14,7 @@ from hydro_agents.detection.sheet import Sheet, Unknowns
 from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_writer
 from hydro_env.plant.equations import Coefficients
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Array, Singles
 
 LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
 """Labels of the head. An axis may have several at once; therefore each has its own probability."""
@@ -363,7 +363,7 @@ def _build_describe(sources: int) -> Any:
 describe = _build_describe(SOURCES)
 
 
-def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
+def features_of(signals: Array, sheet: Sheet) -> Singles:
     """:data:`FEATURES` (N, F) of windows of signals (N, 5, T) in SI units; NaN: a lost sample, or no such sensor."""
     whole = repaired(signals, sheet)
     features = np.empty((len(whole.signals), len(FEATURES)))

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch
@@ -25,6 +24,7 @@ from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 from hydro_env.task.sensors import SENSORS, SPOOL
+from hydro_env.types import Array, Floats, Indices, Mask, Singles
 
 KIND = "leakage head"
 
@@ -49,15 +49,15 @@ class LeakageEstimate(NamedTuple):
     The five probabilities are independent answers, because a leak may occur together with another fault.
     """
 
-    probability: NDArray[np.float64]  # of a leak past the piston, 0 to 1
-    flow_lpm: NDArray[np.float64]  # its size, l/min at 100 bar
-    low_lpm: NDArray[np.float64]  # 90 % interval of the size
-    high_lpm: NDArray[np.float64]
-    external_leak: NDArray[np.float64]  # probability of a leak past the rod seal
-    valve_fault: NDArray[np.float64]  # of null shift, worn edges, changed flow or hysteresis
-    sensor_fault: NDArray[np.float64]  # of offset, gain, freeze or drop-out
-    return_line: NDArray[np.float64]  # of raised tank pressure
-    outside: NDArray[np.float64]  # the answer does not count: 1: unlike the training, or a stuck sensor; 2: at rest
+    probability: Floats  # of a leak past the piston, 0 to 1
+    flow_lpm: Floats  # its size, l/min at 100 bar
+    low_lpm: Floats  # 90 % interval of the size
+    high_lpm: Floats
+    external_leak: Floats  # probability of a leak past the rod seal
+    valve_fault: Floats  # of null shift, worn edges, changed flow or hysteresis
+    sensor_fault: Floats  # of offset, gain, freeze or drop-out
+    return_line: Floats  # of raised tank pressure
+    outside: Floats  # the answer does not count: 1: unlike the training, or a stuck sensor; 2: at rest
 
 
 AT_REST = 2.0  # of ``outside``: the axis does not move
@@ -112,12 +112,12 @@ def check_sensors(config: TaskConfig, needed: Sequence[str] = SENSORS) -> None:
 class HeadState(NamedTuple):
     """Memory of the head; no call changes its argument."""
 
-    history: tuple[NDArray[np.float32], ...]  # measured columns (N, C), at most a window of them, newest last
-    seen: NDArray[np.int64]  # observations since the start of each axis's episode, (N,)
-    answer: NDArray[np.float64]  # the last estimate, (N, fields of LeakageEstimate)
+    history: tuple[Singles, ...]  # measured columns (N, C), at most a window of them, newest last
+    seen: Indices  # observations since the start of each axis's episode, (N,)
+    answer: Floats  # the last estimate, (N, fields of LeakageEstimate)
 
 
-def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, NDArray[np.float32]]:
+def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, Singles]:
     """Zeros of the names, shapes and types of a head's tensors."""
     sizes = (inputs, width, width // 2, OUTPUTS)
     shapes: dict[str, tuple[int, ...]] = {
@@ -135,13 +135,13 @@ def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, NDArray[n
     return {name: np.zeros(shape, dtype=np.float32) for name, shape in shapes.items()}
 
 
-def standardised(features: NDArray[np.float32], mean: NDArray[Any], scale: NDArray[Any]) -> NDArray[np.float32]:
+def standardised(features: Singles, mean: Array, scale: Array) -> Singles:
     """Inputs of the network, (N, F)."""
-    inputs: NDArray[np.float32] = np.clip((features - mean) * scale, -LARGEST_INPUT, LARGEST_INPUT)
+    inputs: Singles = np.clip((features - mean) * scale, -LARGEST_INPUT, LARGEST_INPUT)
     return inputs
 
 
-def probabilities(output: NDArray[np.float64]) -> NDArray[np.float64]:
+def probabilities(output: Floats) -> Floats:
     """Probability of each label, (N, labels)."""
     return 1.0 / (1.0 + np.exp(-output[:, : len(LABELS)]))
 
@@ -168,7 +168,7 @@ class LeakageHead:
         [False, True]
     """
 
-    def __init__(self, tensors: Mapping[str, NDArray[Any]], settings: HeadSettings) -> None:
+    def __init__(self, tensors: Mapping[str, Array], settings: HeadSettings) -> None:
         self.tensors = {name: np.asarray(values, dtype=np.float32) for name, values in tensors.items()}
         self.settings = settings
         self._measured = MeasuredColumns.of(settings.task)
@@ -206,9 +206,9 @@ class LeakageHead:
         self,
         observation: Observation,
         state: HeadState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float64], HeadState]:
+    ) -> tuple[Floats, HeadState]:
         """The fields of :class:`LeakageEstimate`, (9,) or (N, 9), and the memory for the next call.
 
         They are NaN until a whole window of observations is known, and are then updated :data:`UPDATES_PER_WINDOW`
@@ -231,7 +231,7 @@ class LeakageHead:
             answer[due] = np.column_stack(self.estimate_windows(self._measured.si(window)))
         return (answer[0] if single else answer), HeadState(history, seen, answer)
 
-    def estimate_windows(self, signals: NDArray[Any]) -> LeakageEstimate:
+    def estimate_windows(self, signals: Array) -> LeakageEstimate:
         """Estimate from SIGNALS, (N, 5, T), in SI units; NaN where a sample is lost or a sensor absent.
 
         If the windows are longer than those of the training, the head reads their end.
@@ -256,7 +256,7 @@ class LeakageHead:
                 answer[stuck, LeakageEstimate._fields.index(name)] = value
         return LeakageEstimate(*answers.T)
 
-    def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
+    def judge(self, features: Singles) -> Floats:
         """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
         tensors = self.tensors
         rig = np.tile(self.rig, (len(features), 1))  # empty in a head for one rig
@@ -271,7 +271,7 @@ class LeakageHead:
         outside = np.where(features[:, SPREAD] < STILL, AT_REST, 1.0 * outside)
         return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)
 
-    def _sizes(self, output: NDArray[np.float64], features: NDArray[np.float32]) -> NDArray[np.float64]:
+    def _sizes(self, output: Floats, features: Singles) -> Floats:
         """The leak and the ends of its interval, l/min at 100 bar, (N, 3), from the outputs of the network."""
         tensors = self.tensors
         found = quantiles(output)
@@ -285,7 +285,7 @@ class LeakageHead:
             sizes = sizes * self.leak_scale
         return sizes
 
-    def outputs(self, inputs: NDArray[np.float32]) -> NDArray[np.float64]:
+    def outputs(self, inputs: Singles) -> Floats:
         """Outputs of the network, (N, OUTPUTS), from standardised features."""
         values = inputs
         for layer in range(LAYERS):

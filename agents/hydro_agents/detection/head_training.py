@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from hydro_agents.controllers.base import Controller
@@ -33,6 +32,7 @@ from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.jobs import run_jobs
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.types import Array, Floats, Singles
 
 NEVER_VARIED, INVALID = 1e-5, FEATURES.index("invalid features")
 RIDGE = 0.05  # added to the covariance of the standardised features before inversion
@@ -59,7 +59,7 @@ def make_network(width: int, inputs: int = len(FEATURES), dropout: float = 0.0) 
     return nn.Sequential(*layers, nn.Linear(sizes[-2], sizes[-1]))
 
 
-def network_tensors(network: nn.Sequential) -> dict[str, NDArray[Any]]:
+def network_tensors(network: nn.Sequential) -> dict[str, Array]:
     """Weights and biases of a network, under the names of a head's tensors."""
     linear = [layer for layer in network if isinstance(layer, nn.Linear)]
     tensors = {f"weight_{number}": layer.weight.detach().numpy().copy() for number, layer in enumerate(linear)}
@@ -125,9 +125,7 @@ def loss_of(output: Tensor, labels: Tensor, size: Tensor) -> Tensor:
     return wrong_label.sum(dim=1).mean() + SIZE_WEIGHT * pinball.sum(dim=0).mean()
 
 
-def fitted(
-    data: LabelledWindows, settings: HeadTrainingSettings, seed: int, progress: Progress
-) -> dict[str, NDArray[Any]]:
+def fitted(data: LabelledWindows, settings: HeadTrainingSettings, seed: int, progress: Progress) -> dict[str, Array]:
     """The tensors of a head whose network has learned from the windows, without thresholds and intervals."""
     features = data.features
     torch.manual_seed(seed)
@@ -156,7 +154,7 @@ def fitted(
     return tensors | network_tensors(network)
 
 
-def statistics_of(features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+def statistics_of(features: Singles) -> dict[str, Singles]:
     """The tensors that standardise and whiten the features of the training windows, (N, F)."""
     mean, deviation = features.mean(axis=0), features.std(axis=0)
     # What never varied cannot be judged: a rig's file may know a range where the law draws none.
@@ -167,13 +165,13 @@ def statistics_of(features: NDArray[np.float32]) -> dict[str, NDArray[np.float32
     return {"mean": mean, "scale": scale, "whitener": whitener}
 
 
-def size_target(size: NDArray[np.float64]) -> NDArray[np.float32]:
+def size_target(size: Floats) -> Singles:
     """log10 of the leak, but of at least the smallest one that counts."""
     return np.log10(np.maximum(size, SMALLEST_FLOW)).astype(np.float32)
 
 
 def calibrated(
-    tensors: dict[str, NDArray[Any]], config: TaskConfig, longest: int, windows: LabelledWindows, record: dict[str, Any]
+    tensors: dict[str, Array], config: TaskConfig, longest: int, windows: LabelledWindows, record: dict[str, Any]
 ) -> LeakageHead:
     """The head with thresholds, intervals and the bound of "outside" from validation windows.
 

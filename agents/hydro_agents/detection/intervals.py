@@ -8,10 +8,9 @@ Estimation*).
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
+
+from hydro_env.types import Array, Floats, Indices, Mask
 
 SIZES = np.linspace(-2.0, 0.7, 10)  # log10 of the true sizes, l/min at 100 bar, whose distances are stored
 
@@ -25,15 +24,13 @@ COVERAGE = 0.9  # share of the intervals that contain the true size
 FEWEST, REACH = 40, 0.2  # smallest number of windows for a size; largest distance of a window from the size, in decades
 
 
-def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
+def quantiles(output: Floats) -> Floats:
     """The 5, 50 and 95 % quantiles (N, 3) of log10 of the flow, from the outputs of the network."""
     middle, below, above = output[:, -3:].T
     return np.column_stack([middle - np.logaddexp(0.0, below - 2.0), middle, middle + np.logaddexp(0.0, above - 2.0)])
 
 
-def groups(
-    quantiles: NDArray[np.float64], change: NDArray[Any], widths: NDArray[Any], changing: float
-) -> NDArray[np.int64]:
+def groups(quantiles: Floats, change: Array, widths: Array, changing: float) -> Indices:
     """Group of each window, (N,), by its :func:`quantiles` and by how much its leak changes, (N,).
 
     ``widths`` are the bounds between the widths, ``changing`` is the smallest change that counts.
@@ -42,7 +39,7 @@ def groups(
     return WIDTHS * (change > changing).astype(np.int64) + width
 
 
-def intervals(quantiles: NDArray[np.float64], distance: NDArray[Any]) -> NDArray[np.float64]:
+def intervals(quantiles: Floats, distance: Array) -> Floats:
     """Middle and ends (N, 3) of log10 of the size, from its :func:`quantiles`.
 
     ``distance`` (N, SIZES, 2) is that of the ends from the middle, relative to the distances of the quantiles.
@@ -59,7 +56,7 @@ def intervals(quantiles: NDArray[np.float64], distance: NDArray[Any]) -> NDArray
     return np.column_stack([middle, *ends])
 
 
-def distances(quantiles: NDArray[np.float64], size: NDArray[Any], chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+def distances(quantiles: Floats, size: Array, chosen: Mask) -> Floats:
     """95 % quantile of the distance between truth and middle quantile, at each of SIZES and to each side, (SIZES, 2).
 
     It is a fraction of the distance of the outer quantiles. ``size`` is log10 of the true one, ``chosen`` are the

@@ -7,12 +7,11 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Observation, ObservationLayout, as_batch
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Mask, Singles
 
 Span = tuple[float, float]
 Change = Callable[[TaskConfig], TaskConfig]
@@ -67,9 +66,9 @@ class _Operator:
         self,
         observation: Observation,
         state: bool | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], bool]:
+    ) -> tuple[Singles, bool]:
         """Commands (N, 1) of one control period, the first without ``state``; the arguments are a controller's."""
         del episode_start, deterministic
         batch, _ = as_batch(observation)

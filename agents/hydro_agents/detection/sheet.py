@@ -6,7 +6,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.sampled_loop import zero_order_hold
 from hydro_env import TaskConfig
@@ -19,6 +18,7 @@ from hydro_env.task.randomisation import own_value
 from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import SHEET, data_sheet
+from hydro_env.types import Floats, Singles
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
 POINTS = 2  # points between two samples at which the flows are evaluated
@@ -53,14 +53,14 @@ class Unknowns(NamedTuple):
 class Sheet(NamedTuple):
     """The data sheet of an axis, for the compiled fit."""
 
-    coefficients: NDArray[np.float64]  # of the nominal plant
-    mean: NDArray[np.float64]  # (COUNT,), of the priors
-    spread: NDArray[np.float64]  # (COUNT,), standard deviations of the priors
+    coefficients: Floats  # of the nominal plant
+    mean: Floats  # (COUNT,), of the priors
+    spread: Floats  # (COUNT,), standard deviations of the priors
     leak_unit: float  # m³/s per Pa, of a leak of 1 in the rig's unit
-    transition: NDArray[np.float64]  # (valves, POINTS + 1, 3, 5), see _valve_steps
+    transition: Floats  # (valves, POINTS + 1, 3, 5), see _valve_steps
     spool_noise: float  # of full stroke
-    sensor_low: NDArray[np.float64]  # (4,), lower ends of the ranges of position, pressures and spool position
-    sensor_high: NDArray[np.float64]  # (4,)
+    sensor_low: Floats  # (4,), lower ends of the ranges of position, pressures and spool position
+    sensor_high: Floats  # (4,)
     lowest_a: float  # Pa; below this a reading may be at the end of its range
     lowest_b: float  # Pa
     pressure_decay: float  # exp(−T/τ) of the pressure transducers
@@ -92,7 +92,7 @@ RIG_FEATURES = (
 """Names of the features of a rig, which a head for any axis reads beside those of the window."""
 
 
-def rig_features(config: TaskConfig) -> NDArray[np.float32]:
+def rig_features(config: TaskConfig) -> Singles:
     """:data:`RIG_FEATURES`, each of order 1."""
     sheet = sheet_of(config, for_any_axis=True)
     sizes = (
@@ -196,7 +196,7 @@ def _priors(config: TaskConfig, lap: float) -> tuple[Unknowns, Unknowns]:
     return mean, spread
 
 
-def _candidate_valves(config: TaskConfig) -> NDArray[np.float64]:
+def _candidate_valves(config: TaskConfig) -> Floats:
     """:func:`_valve_steps` of valves over the ranges of natural frequency and damping ratio."""
     frequency, frequency_range = _middle_and_half(config, "valve.natural_frequency")
     damping, damping_range = _middle_and_half(config, "valve.damping_ratio")
@@ -209,7 +209,7 @@ def _candidate_valves(config: TaskConfig) -> NDArray[np.float64]:
     return np.array(valves)
 
 
-def _valve_steps(config: TaskConfig, frequency: float, damping: float) -> NDArray[np.float64]:
+def _valve_steps(config: TaskConfig, frequency: float, damping: float) -> Floats:
     """Matrices (POINTS + 1, 3, 5) of a valve: its states at the points of a period and at the end of the period.
 
     They multiply the states at the start, the previous command and the new one. States: spool position, spool speed,

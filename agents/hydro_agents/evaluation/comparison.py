@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.evaluation.metrics import COMPARED, ERROR, ERROR_SENSOR
 from hydro_agents.running.statistics import RESAMPLES, Weights, interval, means, plant_weights, seed_weights
-from hydro_env.types import Floats
-
-Mask = NDArray[np.bool_]
+from hydro_env.types import Floats, Mask
 
 ALL = "all"  # name of the group over all cases
 

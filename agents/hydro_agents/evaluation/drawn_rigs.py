@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS
@@ -23,6 +22,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.reference_signals import MOVING_FAMILIES
+from hydro_env.types import Floats
 
 UNTUNED = "flow linearisation, untuned"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
@@ -128,6 +128,6 @@ def beside_untuned(rows: pd.DataFrame, by: str) -> Iterator[tuple[str, pd.DataFr
 def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
     """One row per agent: its errors relative to those of untuned flow linearisation, failures, and its return."""
     for name, own, ratios in beside_untuned(rows, "agent"):
-        returns: NDArray[np.float64] = own["return"].to_numpy()
+        returns: Floats = own["return"].to_numpy()
         spread = float(np.sqrt(np.mean(own["return_sd"] ** 2 + (returns - returns.mean()) ** 2)))
         yield [name, *ratios, f"{int(own['failures'].sum())}", f"{returns.mean():.1f} ± {spread:.1f}"]

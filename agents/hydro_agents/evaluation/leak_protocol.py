@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from hydro_agents.controllers.by_name import imported
@@ -22,6 +21,7 @@ from hydro_env import TaskConfig
 from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
+from hydro_env.types import Floats
 from hydro_env.units import Number
 
 HEALTHY = 0.0  # level of leaks that are drawn from the healthy range of the task
@@ -191,9 +191,7 @@ def read(detector: Detector, config: TaskConfig, known: TaskConfig, acting: str,
     return columns
 
 
-def simulated_windows(
-    config: TaskConfig, acting: str, cases: Cases, samples: int
-) -> tuple[NDArray[np.float64], Columns]:
+def simulated_windows(config: TaskConfig, acting: str, cases: Cases, samples: int) -> tuple[Floats, Columns]:
     """Measured windows (N, 5, samples) in SI units, cut from runs at places set by the seed, and their true values.
 
     These are ``seed``, ``leak_lpm`` (at the end of the window), ``error_mm`` (mean position error of the run) and

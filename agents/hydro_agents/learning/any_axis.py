@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
@@ -19,6 +18,7 @@ from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.paces import full_speed, pace, periods_per_step
 from hydro_env.task.signals import data_sheet
+from hydro_env.types import Floats, Indices, Singles
 
 PREVIEW_PACES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # of the reference that a policy for any axis sees
 USUAL_ERROR = 0.03  # of untuned flow linearisation, as a part of the travel at full speed in a pace; on the paper's rig
@@ -82,17 +82,15 @@ class AnyAxisFeatures(PolicyFeatures):
         """Number of inputs: those that move, and the data sheet."""
         return self.moving + len(self._sheet)
 
-    def _columns_of(self, names: tuple[str, ...]) -> NDArray[np.int64]:
+    def _columns_of(self, names: tuple[str, ...]) -> Indices:
         present = ["previous_command" if name not in self.layout.names else name for name in HISTORY_SIGNALS]
         return super()._columns_of(tuple(present))
 
-    def _seen(
-        self, inputs: NDArray[np.float32], signals: NDArray[np.float32], reference: NDArray[np.float64]
-    ) -> list[NDArray[np.float32]]:
+    def _seen(self, inputs: Singles, signals: Singles, reference: Floats) -> list[Singles]:
         del inputs
         return [signals, (reference @ self._weights).astype(np.float32)]
 
-    def _normalised(self, parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    def _normalised(self, parts: list[Singles]) -> Singles:
         moving = super()._normalised(parts)
         if self.normalisation is None:
             return moving

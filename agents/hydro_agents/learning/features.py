@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import ClassicalController, Controller, Observation, ObservationLayout
 from hydro_agents.controllers.preview import Preview
@@ -20,6 +19,7 @@ from hydro_agents.controllers.registry import kind_of
 from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.paces import periods_per_step
+from hydro_env.types import Array, Floats, Indices, Mask, Singles
 
 MIDDLE = 0.6  # share of the samples that stay within one unit
 RARE = 0.3  # unit of an input that is constant most of the time, as a fraction of its standard deviation
@@ -44,16 +44,16 @@ FEATURE_LIMIT = 50.0  # inputs of the policy are limited to ± this value
 class Normalisation(NamedTuple):
     """``arcsinh((input − centre) / unit)``: linear up to about one unit, logarithmic beyond; (inputs,) each."""
 
-    centre: NDArray[np.float32]
-    unit: NDArray[np.float32]
+    centre: Singles
+    unit: Singles
 
-    def __call__(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, inputs: Singles) -> Singles:
         """The normalised inputs, (N, inputs)."""
-        normalised: NDArray[np.float32] = np.arcsinh((inputs - self.centre) / self.unit)
+        normalised: Singles = np.arcsinh((inputs - self.centre) / self.unit)
         return normalised
 
     @classmethod
-    def of(cls, inputs: NDArray[Any]) -> Normalisation:
+    def of(cls, inputs: Array) -> Normalisation:
         """Centre and unit of each input over all rows (rows, inputs)."""
         values = inputs.astype(np.float64)
         centre = np.median(values, axis=0)
@@ -66,13 +66,13 @@ class Normalisation(NamedTuple):
 class Standardisation(NamedTuple):
     """``(input − centre) / unit``, within ± the limit: what ``VecNormalize`` of stable-baselines3 makes of inputs."""
 
-    centre: NDArray[np.float32]
-    unit: NDArray[np.float32]
-    limit: NDArray[np.float32]  # ()
+    centre: Singles
+    unit: Singles
+    limit: Singles  # ()
 
-    def __call__(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, inputs: Singles) -> Singles:
         """The standardised inputs, (N, inputs)."""
-        standardised: NDArray[np.float32] = np.clip((inputs - self.centre) / self.unit, -self.limit, self.limit)
+        standardised: Singles = np.clip((inputs - self.centre) / self.unit, -self.limit, self.limit)
         return standardised
 
 
@@ -86,11 +86,11 @@ class FeatureState(NamedTuple):
     """Memory of N axes; no call changes its argument."""
 
     base: Any  # memory of the controller that the policy corrects; ``None`` without one
-    ring: NDArray[np.float32]  # recent signals (N, length, signals), the oldest first
-    base_command: NDArray[np.float32]  # command of the corrected controller at the last call, (N, 1)
-    lasting: NDArray[np.float32]  # slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)
-    reference: NDArray[np.float64]  # the reference from one period ago to the farthest preview, m, (N, samples)
-    hidden: NDArray[np.float32] | None = None  # memory of a recurrent policy, (N, 2 cells)
+    ring: Singles  # recent signals (N, length, signals), the oldest first
+    base_command: Singles  # command of the corrected controller at the last call, (N, 1)
+    lasting: Singles  # slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)
+    reference: Floats  # the reference from one period ago to the farthest preview, m, (N, samples)
+    hidden: Singles | None = None  # memory of a recurrent policy, (N, 2 cells)
 
 
 class PolicyFeatures:
@@ -161,9 +161,9 @@ class PolicyFeatures:
         self,
         observation: Observation,
         state: FeatureState | None,
-        episode_start: NDArray[np.bool_] | None,
-        answer: tuple[NDArray[np.float32], Any] | None = None,
-    ) -> tuple[NDArray[np.float32], FeatureState]:
+        episode_start: Mask | None,
+        answer: tuple[Singles, Any] | None = None,
+    ) -> tuple[Singles, FeatureState]:
         """Inputs (N, size) for a batch of observations (N, n), and the new memory.
 
         ``answer`` is what the corrected controller's ``predict`` gave for the observations, if it was called. The
@@ -203,13 +203,11 @@ class PolicyFeatures:
         state = state._replace(base=memory, base_command=command, lasting=lasting)
         return self._normalised([*seen, *own, changes]), state
 
-    def _columns_of(self, names: tuple[str, ...]) -> NDArray[np.int64]:
+    def _columns_of(self, names: tuple[str, ...]) -> Indices:
         """Columns of signals in the observation."""
         return np.array([self.layout.index(name) for name in names])
 
-    def _seen(
-        self, inputs: NDArray[np.float32], signals: NDArray[np.float32], reference: NDArray[np.float64]
-    ) -> list[NDArray[np.float32]]:
+    def _seen(self, inputs: Singles, signals: Singles, reference: Floats) -> list[Singles]:
         """What the policy sees of the present observation and of the reference."""
         del signals
         if not self.full_preview:
@@ -217,8 +215,8 @@ class PolicyFeatures:
         ahead = (reference[:, self._rebuilt] - reference[:, 1:2]) / PREVIEW_SCALE
         return [inputs, ahead.astype(np.float32)]
 
-    def _normalised(self, parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-        inputs: NDArray[np.float32] = np.concatenate(parts, axis=1, dtype=np.float32)
+    def _normalised(self, parts: list[Singles]) -> Singles:
+        inputs: Singles = np.concatenate(parts, axis=1, dtype=np.float32)
         return inputs if self.normalisation is None else self.normalisation(inputs)
 
     def applied(self, share: float) -> Self:
@@ -251,7 +249,7 @@ class PolicyFeatures:
         normalised.normalisation = Normalisation.of(np.concatenate(seen))
         return normalised
 
-    def command(self, output: Observation, state: FeatureState) -> NDArray[np.float32]:
+    def command(self, output: Observation, state: FeatureState) -> Singles:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""
         bounded = np.clip(output.astype(np.float32, copy=False), -1.0, 1.0)
         if self.base is None:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Observation, as_batch
@@ -19,11 +18,12 @@ from hydro_agents.running.weights import load_weights, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.files import Group, validate
+from hydro_env.types import Mask, Singles
 
 KIND = "policy"
 _NORMALISATION = ("normalisation.centre", "normalisation.unit", "normalisation.limit")  # the last: if standardised
 LONGEST_LAG = 10_000  # control periods; more must be a mistake
-Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
+Layers = list[tuple[Singles, Singles]]
 
 
 class _StoredBase(Group):
@@ -84,13 +84,11 @@ class LSTM(NamedTuple):
     Its gates are input, forget, cell and output, as in torch.
     """
 
-    inputs: NDArray[np.float32]  # (4 H, inputs)
-    recurrent: NDArray[np.float32]  # (4 H, H)
-    bias: NDArray[np.float32]  # (4 H,)
+    inputs: Singles  # (4 H, inputs)
+    recurrent: Singles  # (4 H, H)
+    bias: Singles  # (4 H,)
 
-    def __call__(
-        self, values: NDArray[np.float32], memory: NDArray[np.float32] | None, episode_start: NDArray[np.bool_] | None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def __call__(self, values: Singles, memory: Singles | None, episode_start: Mask | None) -> tuple[Singles, Singles]:
         """Output (N, H) for inputs (N, inputs), and the next memory (N, 2 H): output and cells.
 
         The memory is zero at the start of an episode.
@@ -114,9 +112,9 @@ class LSTM(NamedTuple):
         return cls(_array(layer.weight_ih_l0), _array(layer.weight_hh_l0), bias)
 
 
-def _sigmoid(x: NDArray[np.float32]) -> NDArray[np.float32]:
+def _sigmoid(x: Singles) -> Singles:
     half = np.float32(0.5)
-    opening: NDArray[np.float32] = half + half * np.tanh(half * x)
+    opening: Singles = half + half * np.tanh(half * x)
     return opening
 
 
@@ -159,9 +157,9 @@ class PolicyController:
         self,
         observation: Observation,
         state: FeatureState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], FeatureState]:
+    ) -> tuple[Singles, FeatureState]:
         """Commands for the observations, and the memory for the next call."""
         del deterministic
         batch, single = as_batch(observation, state)
@@ -316,12 +314,12 @@ def _features_of(model: Any) -> PolicyFeatures:
     return features
 
 
-def _array(tensor: Any) -> NDArray[np.float32]:
-    array: NDArray[np.float32] = tensor.detach().cpu().numpy().copy()
+def _array(tensor: Any) -> Singles:
+    array: Singles = tensor.detach().cpu().numpy().copy()
     return array
 
 
-def _named(layers: Layers, normalisation: NamedTuple | None, lstm: LSTM | None) -> dict[str, NDArray[np.float32]]:
+def _named(layers: Layers, normalisation: NamedTuple | None, lstm: LSTM | None) -> dict[str, Singles]:
     """The tensors of a policy's file."""
     named = {}
     for number, (weight, bias) in enumerate(layers):

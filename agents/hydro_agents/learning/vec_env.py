@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from hydro_agents.controllers.base import Controller, rows
@@ -18,15 +17,14 @@ from hydro_agents.learning.features import FEATURE_LIMIT, FeatureState, PolicyFe
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import AxesState
 from hydro_env.task.paces import periods_per_step
-
-Array = NDArray[Any]
+from hydro_env.types import Array, Floats, Indices, Mask, Singles
 
 
 class _SharedVecEnv(VecEnv):
     """What :class:`AxisVecEnv` and :class:`RigsVecEnv` share: all axes have the same attributes, and no wrappers."""
 
     env: Any
-    _actions: NDArray[np.float32]
+    _actions: Singles
 
     def step_async(self, actions: Array) -> None:
         """Store the policy's outputs (N, 1) for ``step_wait``."""
@@ -115,7 +113,7 @@ class AxisVecEnv(_SharedVecEnv):
         self._state: FeatureState | None = None
         self._corrected: Any = None
         self._twin_commands = np.zeros((0, 1), dtype=np.float32)
-        self.lessons: list[NDArray[np.float32]] | None = None  # collects `taught` of each step, if a list
+        self.lessons: list[Singles] | None = None  # collects `taught` of each step, if a list
         self.taught = np.zeros((count, 1), dtype=np.float32)  # the teacher's commands for the last inputs
         self._returns = np.zeros(count)
         self._lengths = np.zeros(count, dtype=np.int64)
@@ -146,7 +144,7 @@ class AxisVecEnv(_SharedVecEnv):
         self._state = self._corrected = None
         return self._inputs(observation, None)
 
-    def _inputs(self, observation: NDArray[np.float32], restarted: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+    def _inputs(self, observation: Singles, restarted: Mask | None) -> Singles:
         """Process the observations of all axes and twins; returns the policy's inputs (N, size)."""
         if self.features is None:
             return observation
@@ -190,9 +188,7 @@ class AxisVecEnv(_SharedVecEnv):
         self._lengths[done] = 0
         return inputs, (worth * self.reward_scale).astype(np.float32), done, infos
 
-    def _fill_infos(
-        self, infos: list[dict[str, Any]], ended: NDArray[np.int64], last: Array, terminated: NDArray[np.bool_]
-    ) -> None:
+    def _fill_infos(self, infos: list[dict[str, Any]], ended: Indices, last: Array, terminated: Mask) -> None:
         """Fill ``infos`` of the ended episodes; their last inputs combine their history with the last observation."""
         inputs = last[ended]
         if self.features is not None:
@@ -244,13 +240,13 @@ class RigsVecEnv(_SharedVecEnv):
 
     def __init__(self, envs: Sequence[AxisVecEnv], features: AnyAxisFeatures) -> None:
         self.envs, self.features = list(envs), features
-        self.lessons: list[NDArray[np.float32]] | None = None  # as those of one rig
+        self.lessons: list[Singles] | None = None  # as those of one rig
         self.render_mode = None
         ends = np.cumsum([env.num_envs for env in envs])
         self._parts = [slice(end - env.num_envs, end) for env, end in zip(envs, ends, strict=True)]
         super().__init__(int(ends[-1]), envs[0].observation_space, spaces.Box(-1.0, 1.0, (1,), np.float32))
 
-    def periods_per_step(self) -> NDArray[np.float64]:
+    def periods_per_step(self) -> Floats:
         """Control periods in a step of the rig, of each axis, (N,)."""
         return np.concatenate([np.full(env.num_envs, periods_per_step(env.env.config)) for env in self.envs])
 

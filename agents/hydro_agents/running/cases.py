@@ -19,6 +19,7 @@ from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import State
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.sensors import CHANNELS
+from hydro_env.types import Array, Floats, Indices, Mask, Singles
 
 _SPOOL = State._fields.index("spool_position")
 _SUPPLY_PRESSURE = State._fields.index("supply_pressure")
@@ -52,11 +53,11 @@ class Cases:
         (4, 'seed 2, reference step, leak 0.5 l/min')
     """
 
-    seeds: NDArray[np.int64]
-    leakage_flow_lpm: NDArray[np.float64] | None = None  # None: drawn
+    seeds: Indices
+    leakage_flow_lpm: Floats | None = None  # None: drawn
     families: NDArray[np.str_] | None = None  # None: drawn
     parameters: Mapping[str, Mapping[str, float | str]] | None = None  # of every plant, as the option of reset
-    faults: Mapping[str, NDArray[np.float64]] | None = None  # magnitudes by name, each (N,)
+    faults: Mapping[str, Floats] | None = None  # magnitudes by name, each (N,)
 
     def __len__(self) -> int:
         return len(self.seeds)
@@ -105,24 +106,21 @@ class Rollout:
     A case that fails (``terminated``) keeps the values of its last sample and gets no further reward.
     """
 
-    time: NDArray[np.float64]  # (T,), s
-    position: NDArray[np.float32]  # (N, T), m, true
-    reference: NDArray[np.float32]  # (N, T), m
-    command: NDArray[np.float32]  # (N, T), as limited, −1…1
-    spool: NDArray[np.float32]  # (N, T), true
-    supply_power: NDArray[np.float32]  # (N, T), W; flow that the valve draws, times supply pressure
-    reward: NDArray[np.float32]  # (N, T)
-    failed_at: NDArray[np.int64]  # (N,), step of the failure, −1 for none
-    position_bias: NDArray[np.float64]  # (N,), m; the sensor reads the true position plus this
+    time: Floats  # (T,), s
+    position: Singles  # (N, T), m, true
+    reference: Singles  # (N, T), m
+    command: Singles  # (N, T), as limited, −1…1
+    spool: Singles  # (N, T), true
+    supply_power: Singles  # (N, T), W; flow that the valve draws, times supply pressure
+    reward: Singles  # (N, T)
+    failed_at: Indices  # (N,), step of the failure, −1 for none
+    position_bias: Floats  # (N,), m; the sensor reads the true position plus this
     signals: NDArray[np.float16 | np.float32] | None  # (N, S, T), chosen columns of the observation
-    leakage_flow_lpm: NDArray[np.float64]  # (N,), at the end
+    leakage_flow_lpm: Floats  # (N,), at the end
 
 
 def run_cases(
-    config: TaskConfig,
-    controller: Controller,
-    cases: Cases,
-    signal_columns: Sequence[int] | NDArray[np.int64] | None = None,
+    config: TaskConfig, controller: Controller, cases: Cases, signal_columns: Sequence[int] | Indices | None = None
 ) -> Rollout:
     """Run one episode of every case with a controller, all of them together.
 
@@ -219,14 +217,8 @@ def check_predict(controller: Any) -> None:
 
 
 def _act(
-    controller: Controller,
-    observation: NDArray[np.float32],
-    memory: Any,
-    started: NDArray[np.bool_],
-    alive: NDArray[np.bool_],
-    cases: Cases,
-    time: float,
-) -> tuple[NDArray[Any], Any]:
+    controller: Controller, observation: Singles, memory: Any, started: Mask, alive: Mask, cases: Cases, time: float
+) -> tuple[Array, Any]:
     """Commands (N, 1) of the controller, checked; an axis that has failed gets 0."""
     when = f"in a batch of {len(cases)} from {cases.describe(0)}, at {time:.3f} s"
     try:
@@ -269,7 +261,7 @@ def family_errors(
     families = _families(config)
     seeds = np.tile(np.array(SCALES.take(plants, SCALES.count - plants)), len(families))
     run = run_cases(config, controller, Cases(seeds, families=np.repeat(families, plants)))
-    position: NDArray[Any] = run.position
+    position: Array = run.position
     if sensor_frame:
         position = position + run.position_bias[:, None]
     errors = np.abs(position - run.reference).mean(axis=1).reshape(len(families), plants).mean(axis=1)

@@ -26,18 +26,18 @@ from typing import Any, NamedTuple
 import joblib
 import numpy as np
 from joblib import Parallel, cpu_count, delayed, parallel_config
-from numpy.typing import NDArray
 from pydantic_core import to_json
 
 from hydro_env import ConfigurationError
 from hydro_env.compiling import SOURCES
 from hydro_env.files import write_whole
+from hydro_env.types import Array
 
 JOBS_FOLDER = "jobs"
 RESULT_FILES = f"{JOBS_FOLDER}/*.npz"
 _KILLED = ("TerminatedWorkerError", "BrokenProcessPool")  # the errors of loky, by name
 
-Columns = dict[str, NDArray[Any]]  # numbers by name, arrays of any shape
+Columns = dict[str, Array]  # numbers by name, arrays of any shape
 Report = Callable[[str, int, int], None]  # called with phase, number of finished jobs, and their total
 
 

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.running.cases import Cases, Rollout, run_cases
@@ -19,6 +18,7 @@ from hydro_agents.running.seeds import SeedRange
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
+from hydro_env.types import Array, Floats
 
 LEAST_CYCLES = 3  # smallest number of cycles in the evaluated time; a slower motion is drift
 LASTING = 0.5  # an oscillation whose last third has less than this share of its amplitude is decaying
@@ -37,7 +37,7 @@ class LimitCycle(NamedTuple):
     sustained: bool
 
 
-def find_limit_cycle(position: NDArray[Any], period: float, floor: float) -> LimitCycle:
+def find_limit_cycle(position: Array, period: float, floor: float) -> LimitCycle:
     """The oscillation of an axis that should be at rest; slow drift does not count.
 
     The position is true, while the reference is constant, (T,), m; T ≥ 18. A limit cycle has an amplitude above the
@@ -63,7 +63,7 @@ def standstill_task(config: TaskConfig) -> TaskConfig:
     return own_reference(noiseless(config), steps)
 
 
-def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArray[np.float64]]:
+def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, Floats]:
     """Of every case, arrays (N,): limit_cycle (1: it oscillates without noise), amplitude_um, frequency_hz, failed.
 
     A limit cycle is larger than one step of the position sensor.

@@ -9,13 +9,12 @@ paired.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from hydro_env.types import Floats
+from hydro_env.types import Array, Floats
 
 CONFIDENCE = 0.95
 LEAST_SAMPLES = 3  # for an interval
@@ -52,7 +51,7 @@ class Weights(NamedTuple):
     plants: Floats  # (R + 1, U)
 
 
-def plant_weights(strata: NDArray[Any], resamples: int = RESAMPLES, seed: int = 0) -> Floats:
+def plant_weights(strata: Array, resamples: int = RESAMPLES, seed: int = 0) -> Floats:
     """Draw plants with replacement within each stratum; (resamples + 1, U)."""
     generator = np.random.default_rng(seed)
     weights = np.ones((resamples + 1, len(strata)))

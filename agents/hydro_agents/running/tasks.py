@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from hydro_env import ConfigurationError, TaskConfig
@@ -19,6 +17,7 @@ from hydro_env.task.faults import FAULTS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.rig import merged, task_from
 from hydro_env.task.sensors import CHANNELS
+from hydro_env.types import Floats
 from hydro_env.units import Number
 
 
@@ -46,7 +45,7 @@ def steady(config: TaskConfig) -> TaskConfig:
     )
 
 
-def own_reference(config: TaskConfig, reference: NDArray[np.float64]) -> TaskConfig:
+def own_reference(config: TaskConfig, reference: Floats) -> TaskConfig:
     """The :func:`steady` task with a given reference (T + 1,), m, one value per period from the start."""
     return task_config(
         steady(config),

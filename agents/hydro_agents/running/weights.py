@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError
 from hydro_env.files import write_whole
+from hydro_env.types import Array
 
-Tensors = Mapping[str, NDArray[Any]]
+Tensors = Mapping[str, Array]
 CHECKPOINT_VERSION, WEIGHTS_VERSION = 1, 2
 _DESCRIPTION, _DIGEST = "description", "digest"
 
@@ -37,7 +38,7 @@ def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mappin
     return weights
 
 
-def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+def load_weights(path: str | Path, kind: str) -> tuple[dict[str, Array], dict[str, Any]]:
     """Read weights and settings; ``path`` is their name.
 
     Raises:
@@ -85,7 +86,7 @@ def save_checkpoint(path: Path, kind: str, tensors: Tensors, description: Mappin
     write_whole(path, _packed({**content, _DIGEST: _digest(content)}))
 
 
-def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, Array], dict[str, Any]]:
     """Read what :func:`save_checkpoint` wrote.
 
     Raises:
@@ -140,7 +141,7 @@ def _content(path: Path) -> bytes:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def _unpacked(content: bytes, path: Path) -> dict[str, NDArray[Any]]:
+def _unpacked(content: bytes, path: Path) -> dict[str, Array]:
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
@@ -166,14 +167,14 @@ def _described(text: bytes, kind: str, path: Path, version: int) -> dict[str, An
 # The state of a training ----------------------------------------------------------------------------------------------
 
 
-def flat(state: Any, name: str) -> dict[str, NDArray[Any]]:
+def flat(state: Any, name: str) -> dict[str, Array]:
     """Copies of the arrays and tensors of nested mappings and tuples by name, ``name.key.field``; ``None`` has none.
 
     An array with named fields becomes bytes, which safetensors holds.
     """
     if state is None:
         return {}
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Array] = {}
     if isinstance(state, Mapping | tuple):
         for key, part in _parts(state).items():
             arrays |= flat(part, f"{name}.{key}")
