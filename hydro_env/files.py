@@ -45,6 +45,9 @@ class _Checked(_ModelType):
 class Group(BaseModel, metaclass=_Checked):
     """A frozen group of settings; unknown keys and NaN are errors."""
 
+    def __hash__(self) -> int:
+        return hash(repr(self))  # a group may hold mappings
+
     def __setattr__(self, name: str, value: Any) -> None:
         raise ConfigurationError(f"{type(self).__name__}.{name}: is frozen; make a copy with another value")
 

@@ -7,7 +7,7 @@ of the valve from a drawn full speed; what the questions leave open gets that co
 from __future__ import annotations
 
 import math
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -179,17 +179,10 @@ def rig_tasks(config: TaskConfig) -> tuple[TaskConfig, ...]:
     Raises:
         ConfigurationError: the law can draw no working rig.
     """
-    law = config.law
-    if law is None:
-        return (config,)
-    key = repr(config)
-    if key not in _DRAWN:
-        first = FIRST_SEEDS[law.split] + law.first
-        _DRAWN[key] = tuple(drawn_task(config, law, seed) for seed in range(first, first + law.count))
-        while len(_DRAWN) > KEPT:
-            del _DRAWN[next(iter(_DRAWN))]
-    return _DRAWN[key]
+    return (config,) if config.law is None else _drawn_tasks(config, config.law)
 
 
-KEPT = 8
-_DRAWN: dict[str, tuple[TaskConfig, ...]] = {}  # the newest tasks: drawing takes some milliseconds per rig
+@lru_cache(maxsize=8)  # drawing takes some milliseconds per rig
+def _drawn_tasks(config: TaskConfig, law: RigLaw) -> tuple[TaskConfig, ...]:
+    first = FIRST_SEEDS[law.split] + law.first
+    return tuple(drawn_task(config, law, seed) for seed in range(first, first + law.count))

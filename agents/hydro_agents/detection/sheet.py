@@ -161,39 +161,23 @@ def _priors(config: TaskConfig, lap: float) -> tuple[Unknowns, Unknowns]:
     excess = 0.0
     if c.supply_dynamics > 0.0 and c.relief_slope > 0.0:
         excess = 0.6 * c.pump_flow / c.relief_slope
-    mean = Unknowns(
-        flow_gain=1.0,
-        supply_pressure=supply,
-        supply_excess=excess,
-        underlap=_middle_and_half(config, "valve.underlap")[0],
-        null=plant.valve.null_shift,
-        internal_leak=0.0,
-        external_leak=0.0,
-        compressibility=1.1,
-        air_fraction=_middle_and_half(config, "fluid.air_fraction")[0],
-        dead_volume=dead - plant.cylinder.dead_volume,
-        bias_a=0.0,
-        bias_b=0.0,
-        tank_pressure=plant.supply.tank_pressure,
-        overlap=plant.valve.overlap,
+    priors = Unknowns(
+        flow_gain=(1.0, 0.2),
+        supply_pressure=(supply, 0.7 * supply_range + 0.1 * supply),
+        supply_excess=(excess, 0.5 * excess + 1e3),
+        underlap=(_middle_and_half(config, "valve.underlap")[0], 0.02),
+        null=(plant.valve.null_shift, 0.01),
+        internal_leak=(0.0, 2.0),
+        external_leak=(0.0, 1.0),
+        compressibility=(1.1, 0.2),
+        air_fraction=(_middle_and_half(config, "fluid.air_fraction")[0], 0.003),
+        dead_volume=(dead - plant.cylinder.dead_volume, 0.6 * dead_range + 1e-7),
+        bias_a=(0.0, sensors.pressure_a.bias + 1e3),
+        bias_b=(0.0, sensors.pressure_b.bias + 1e3),
+        tank_pressure=(plant.supply.tank_pressure, 1e5),
+        overlap=(plant.valve.overlap, lap),
     )
-    spread = Unknowns(
-        flow_gain=0.2,
-        supply_pressure=0.7 * supply_range + 0.1 * supply,
-        supply_excess=0.5 * excess + 1e3,
-        underlap=0.02,
-        null=0.01,
-        internal_leak=2.0,
-        external_leak=1.0,
-        compressibility=0.2,
-        air_fraction=0.003,
-        dead_volume=0.6 * dead_range + 1e-7,
-        bias_a=sensors.pressure_a.bias + 1e3,
-        bias_b=sensors.pressure_b.bias + 1e3,
-        tank_pressure=1e5,
-        overlap=lap,
-    )
-    return mean, spread
+    return Unknowns(*(mean for mean, _ in priors)), Unknowns(*(spread for _, spread in priors))
 
 
 def _candidate_valves(config: TaskConfig) -> Floats:

@@ -11,16 +11,15 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
-from functools import cache, wraps
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 
-import hydro_env
 from hydro_agents.controllers.registry import CONTROLLERS
 from hydro_agents.learning.stable_gain import pids_from_figures
 from hydro_agents.learning.tuning import Search, costs_of_sets, tune
+from hydro_agents.running.jobs import digest_of_code
 from hydro_agents.running.limit_cycles import counted_at_rest
 from hydro_agents.running.seeds import STANDSTILLS
 from hydro_env import ConfigurationError, HydroError, TaskConfig
@@ -47,59 +46,8 @@ BETTER = 0.02  # lower logarithm of the error than the first set's, for others t
 BENDING = {"tip_share": 0.3, "tip_frequency": 2.0 * math.pi * 10.0, "tip_damping_ratio": 0.01}
 """A load that bends, as on many machines whose nameplates do not tell it."""
 
-SEARCHES = "HYDRO_CACHE_DIR"  # environment: where searches are kept; default: ~/.cache/hydro_env
-Found = TypeVar("Found")
-_FOUND: dict[tuple[str, str, str], Any] = {}  # by what was sought, kind and task
-
-
-def _once(search: Callable[[str, TaskConfig], Found]) -> Callable[[str, TaskConfig], Found]:
-    """A search that a process makes once for each kind and task."""
-
-    @wraps(search)
-    def answer(kind: str, config: TaskConfig) -> Found:
-        key = search.__name__, kind, repr(config)
-        if key not in _FOUND:
-            _FOUND[key] = search(kind, config)
-        found: Found = _FOUND[key]
-        return found
-
-    return answer
-
-
-def _kept(search: Callable[[str, TaskConfig], Group]) -> Callable[[str, TaskConfig], Group]:
-    """A search whose result is kept on disk, until the sources or the task change."""
-
-    @wraps(search)
-    def answer(kind: str, config: TaskConfig) -> Group:
-        key = f"{source_digest()} {kind} {config!r}"
-        file = searches_folder() / f"{kind}_{hashlib.sha256(key.encode()).hexdigest()[:24]}.yaml"
-        with contextlib.suppress(ConfigurationError):  # none, or a damaged one
-            return validate(CONTROLLERS[kind][1], read_yaml(file), str(file))
-        found = search(kind, config)
-        with contextlib.suppress(OSError, HydroError):  # no folder that can be written: the next command searches again
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_yaml(file, found.model_dump(mode="json"))
-        return found
-
-    return answer
-
-
-def searches_folder() -> Path:
-    """Where the results of searches are kept."""
-    return Path(os.environ.get(SEARCHES, Path.home() / ".cache" / "hydro_env")) / "gains"
-
 
 @cache
-def source_digest() -> str:
-    """Digest of all sources on which a search depends."""
-    digest = hashlib.sha256()
-    for folder in (Path(hydro_env.__file__).parent, Path(__file__).parents[1]):
-        for file in sorted(folder.rglob("*.py")):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
-
-
-@_once
 def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
     """Sets of gains that may serve the rig of a task; the first is preferred.
 
@@ -119,7 +67,7 @@ def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
     return sets
 
 
-@_once
+@cache
 def chosen_gains(kind: str, config: TaskConfig) -> Group:
     """The set of :func:`gain_sets` that controls the simulated rig of the task best, if clearly so; in seconds."""
     sets = gain_sets(kind, config)
@@ -130,10 +78,26 @@ def chosen_gains(kind: str, config: TaskConfig) -> Group:
     return sets[0]
 
 
-@_once
-@_kept
+@cache
 def searched_gains(kind: str, config: TaskConfig) -> Group:
     """Gains from a short search around :func:`chosen_gains`; it takes about a minute, once for a rig and its timing.
+
+    They are kept on disk until the sources or the task change.
+    """
+    folder = Path(os.environ.get("HYDRO_CACHE_DIR", Path.home() / ".cache" / "hydro_env")) / "gains"
+    key = f"{digest_of_code('hydro_agents')} {kind} {config!r}"
+    file = folder / f"{kind}_{hashlib.sha256(key.encode()).hexdigest()[:24]}.yaml"
+    with contextlib.suppress(ConfigurationError):  # none, or a damaged one
+        return validate(CONTROLLERS[kind][1], read_yaml(file), str(file))
+    found = _search(kind, config)
+    with contextlib.suppress(OSError, HydroError):  # no folder that can be written: the next command searches again
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_yaml(file, found.model_dump(mode="json"))
+    return found
+
+
+def _search(kind: str, config: TaskConfig) -> Group:
+    """The best gains of a search.
 
     Fresh cases on the rig and its :func:`neighbours` decide between the best candidate of each generation, the choice
     and the first set: a search favours what some cases, and what its own plant, happen to forgive. Ringing and limit

@@ -18,6 +18,7 @@ from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.parameters import from_vector, to_vector
 from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.task.configuration import task_config
+from hydro_env.task.paces import full_speed
 from hydro_env.task.settings import draws_of
 
 HEALTHY_LEAK = 0.01  # l/min at 100 bar
@@ -139,9 +140,9 @@ def quiet_gains(task: TaskConfig) -> QuietGains:
     Raises:
         HydroError: no gain is quiet, or the axis cannot be held or moved.
     """
-    full_speed = max(0.5 * sum(speed_limits(beyond_dead_band(task.plant))), 1e-6)
-    exact, lowest = task_config(task, randomisation={}), LOWEST / full_speed
-    own = worst = _largest_quiet_gain(exact, 1, MEDIUM / full_speed, lowest)
+    speed = max(full_speed(beyond_dead_band(task.plant)), 1e-6)
+    exact, lowest = task_config(task, randomisation={}), LOWEST / speed
+    own = worst = _largest_quiet_gain(exact, 1, MEDIUM / speed, lowest)
     if task.randomisation:
         worst = min(own, _largest_quiet_gain(task, PLANTS, own, lowest))
     return QuietGains(own, worst)

@@ -17,7 +17,7 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.plant.analysis import speed_limits
+from hydro_env.task.paces import full_speed
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.types import Floats
 
@@ -65,7 +65,7 @@ def costs_of(
     """
     size, candidates = len(cases), len(controllers)
     first = 0 if judged is None else config.steps - round(judged / config.control_period)
-    price = EFFORT_TIME * float(np.mean(speed_limits(config.plant)))
+    price = EFFORT_TIME * full_speed(config.plant)
     with closing(ServoHydraulicVectorEnv(candidates * size, config, autoreset_mode="NextStep", info=False)) as env:
         leaks, families = (list(cases.options[name]) * candidates for name in ("leakage_flow_lpm", "reference"))
         options = {"leakage_flow_lpm": leaks, "reference": families}
