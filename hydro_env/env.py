@@ -244,7 +244,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
         terms = {}
         for index, name in _TERMS:  # three times as fast as a comprehension
             terms[name] = -row[index]
-        info: dict[str, Any] = {
+        info = {
             "leakage_resistance": resistance_from_flow(flow),
             "leakage_flow_lpm": flow,
             "leakage_class": int(row[_CLASS]),

@@ -23,8 +23,8 @@ def described(
     ``source`` is that of the values, such as the file; the group stands ``within`` it, as ``controllers.PID.settings``.
     """
     schema = model.model_json_schema()
-    lines: dict[Path, str] = {}
-    kind: type[ConfigurationError] = ConfigurationError
+    lines = {}
+    kind = ConfigurationError
     mistakes = [(*_found_in(values, mistake), mistake) for mistake in error.errors(include_url=False)]
     # A list or a group with wrong parts may count as wrong itself.
     wholes = {path[:depth] for path, _, _ in mistakes for depth in range(len(path))}
@@ -45,7 +45,7 @@ def described(
 
 def _found_in(values: Any, mistake: Mapping[str, Any]) -> tuple[Path, Any]:
     """Path and value of a mistake; pydantic's path also says ``[key]``, and which of several types it has tried."""
-    place: Path = mistake["loc"]
+    place = mistake["loc"]
     for depth, part in enumerate(place):
         try:
             values = values[part]

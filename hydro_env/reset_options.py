@@ -105,7 +105,7 @@ class ResetOptions:
                 self.set(options_given(own), np.array([axis]))
             return
         given = {name: value for name, value in options_given(options).items() if value is not None}
-        values: dict[str, Array] = {}
+        values = {}
         half = self._half_strokes.min()
         if "rig" in given:
             values["rig"] = self._per_axis(given["rig"], "rig", axes, 0, len(self._rigs) - 1)

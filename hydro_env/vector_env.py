@@ -185,7 +185,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         terminated = record["failure"] != NO_FAILURE
         truncated = record["step"] >= self._axes.steps()
 
-        final: dict[str, Any] = {}
+        final = {}
         if self.autoreset_mode == AutoresetMode.NEXT_STEP and self._ended.any():
             restarting = np.flatnonzero(self._ended)
             self._begin(restarting)
@@ -233,7 +233,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
             present[axes] = True
 
         def column(name: str) -> Array:
-            values: Array = self._axes.record[name].copy()
+            values = self._axes.record[name].copy()
             if present is not self._present:
                 values[~present] = 0.0
             return values

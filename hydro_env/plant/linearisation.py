@@ -164,7 +164,7 @@ def linearise(
     holding = 0.0
     if state is None:
         state, holding = equilibrium(parameters, position)
-    names: tuple[str, ...] = state_kind(parameters.structure)._fields
+    names = state_kind(parameters.structure)._fields
     derivative_array, command_changed_array, *_ = functions_of(parameters.structure)
     values = [state.get(name) for name in names] if isinstance(state, Mapping) else state
     try:

@@ -64,7 +64,7 @@ def reference_states(
         state, time = of_axis.command_changed(states[sample], coefficients, voltage), 0.0
         for _ in range(_MOST_EVENTS):
             held = plant.held(state, voltage)
-            solution: Any = solve_ivp(
+            solution = solve_ivp(
                 lambda _, y, u=voltage, held=held: plant.rate(y, u, held),
                 (time, sample_time),
                 state,

@@ -8,7 +8,7 @@ observation does not show them; ``info["faults"]`` does. To add a fault, add a c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -134,5 +134,5 @@ KIND_OF_FAULT: dict[str, str] = {name: kind for kind in FAULT_KINDS for name in 
 def fault_limits(name: str) -> tuple[float, float]:
     """Smallest and largest allowed magnitude of a fault."""
     kind = KIND_OF_FAULT[name]
-    extra: Any = type(getattr(Faults(), kind)).model_fields["range"].json_schema_extra
+    extra = type(getattr(Faults(), kind)).model_fields["range"].json_schema_extra
     return (-extra["high"] if kind in SIGNED_KINDS else 0.0), extra["high"]

@@ -307,7 +307,7 @@ def position_error(figures: Mapping[str, Any]) -> float:
 
 def _sensors(figures: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of the sensors that were given; what is not given follows from the rig."""
-    sensors: dict[str, Any] = {}
+    sensors = {}
     if "pressure_sensors" in figures:
         sensors["pressures_at"] = figures["pressure_sensors"]
     for kind, names in {"position": ("position",), "pressure": ("pressure_a", "pressure_b")}.items():

@@ -137,7 +137,7 @@ def default_randomisation(plant: PlantParameters | None = None) -> dict[str, Dis
     smaller.
     """
     paper = PlantParameters()
-    ranges: dict[str, Distribution] = {}
+    ranges = {}
     for path, (low, high) in PUBLISHED_RANGES.items():
         bounds = low / own_value(paper, path), high / own_value(paper, path)
         if path == "fluid.air_fraction":

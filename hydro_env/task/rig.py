@@ -96,7 +96,7 @@ def law_of(given: str | Path) -> dict[str, Any] | None:
 
 def _at(values: Mapping[str, Any], path: str) -> Any:
     """The value at a path ``group.field`` of nested groups."""
-    value: Any = values
+    value = values
     for part in path.split("."):
         value = value[part]
     return value

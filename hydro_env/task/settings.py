@@ -41,7 +41,7 @@ def _kind_of_group(group: type[Group]) -> np.dtype[Any]:
 
 
 def _values_of(settings: Group, kind: np.dtype[Any]) -> tuple[Any, ...]:
-    values: list[Any] = []
+    values = []
     for name in kind.names or ():
         value = getattr(settings, name)
         if isinstance(value, str):
@@ -174,7 +174,7 @@ def draws_of(config: TaskConfig) -> Array:
         ConfigurationError: parameters multiply each other in a circle.
     """
     pending = dict(config.randomisation)
-    order: list[str] = []
+    order = []
     while pending:
         ready = [path for path, d in pending.items() if d.times not in pending or d.times == path]
         if not ready:

@@ -147,7 +147,7 @@ def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
     """
     from hydro_agents.running.text import NAME_RULE
 
-    agents: dict[str, str] = {}
+    agents = {}
     for text in texts or ():
         name, _, what = text.partition("=")
         if not name or not what:

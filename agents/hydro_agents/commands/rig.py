@@ -131,7 +131,7 @@ def _named_figures(words: Sequence[str]) -> dict[str, str]:
         ConfigurationError: a word has another form, or its name is unknown or given twice.
     """
     names = {question.name: question.key for question in QUESTIONS}
-    given: dict[str, str] = {}
+    given = {}
     for word in words:
         name, _, value = word.partition("=")
         name = name.strip().lstrip("-").replace("_", "-")

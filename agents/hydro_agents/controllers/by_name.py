@@ -24,7 +24,7 @@ def imported(name: str) -> Any:
     if os.getcwd() not in sys.path and "" not in sys.path:
         sys.path.append(os.getcwd())
     try:
-        value: Any = importlib.import_module(module)
+        value = importlib.import_module(module)
     except (Exception, SystemExit) as error:
         raise ConfigurationError(f"'{name}': module '{module}' cannot be imported: {reason(error)}") from error
     try:

@@ -85,7 +85,7 @@ class FlowModel:
     def speed(self, spool: Floats, flow: Flow) -> Floats:
         """Speed (m/s) at a position of the spool (−1 to 1) without leak and at constant force, (N,)."""
         forward, backward = self._edges(spool)
-        speed: Floats = flow.extending * forward - flow.retracting * backward
+        speed = flow.extending * forward - flow.retracting * backward
         return speed
 
     def _edges(self, spool: Floats) -> tuple[Floats, Floats]:

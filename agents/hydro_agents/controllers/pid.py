@@ -132,7 +132,7 @@ class PID(ClassicalController):
         """The command with the part of the overlap that the valve needs before it opens, (N,)."""
         if not self._added:
             return command
-        added: Floats = self._added * np.clip((command - self._null) / self._ramp, -1.0, 1.0)
+        added = self._added * np.clip((command - self._null) / self._ramp, -1.0, 1.0)
         return command + added
 
     def _before_compensation(self, command: Floats) -> Floats:

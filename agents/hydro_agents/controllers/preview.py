@@ -70,7 +70,7 @@ def path_weights(time: float, horizon: int, period: float) -> Floats:
     ``steps = np.diff(samples, axis=1)``: the step before now comes first. Outside the samples the reference is
     extrapolated at the speed of its last or first step.
     """
-    weights: Floats = np.clip(time / period - np.arange(-1.0, horizon), 0.0, 1.0)
+    weights = np.clip(time / period - np.arange(-1.0, horizon), 0.0, 1.0)
     weights[0] = min(time / period, 0.0)
     weights[-1] += max(time / period - horizon, 0.0)
     return weights

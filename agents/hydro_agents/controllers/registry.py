@@ -77,7 +77,7 @@ def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] |
         return controller(validate(gains, settings or {}, kind), config)
     if ":" not in kind:
         raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}, or 'module:attribute'")
-    make: Any = imported(kind)
+    make = imported(kind)
     if not isinstance(make, type) and hasattr(make, "predict"):
         if settings:
             raise ConfigurationError(f"'{kind}': is already a controller and takes no settings")

@@ -78,12 +78,12 @@ class LabelledWindows(NamedTuple):
 
     def part(self, chosen: Array) -> LabelledWindows:
         """Some of the windows."""
-        return LabelledWindows(*(values[chosen] for values in self))
+        return LabelledWindows._make(values[chosen] for values in self)
 
     @classmethod
     def joined(cls, parts: Sequence[LabelledWindows]) -> LabelledWindows:
         """Several sets as one."""
-        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        return cls._make(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
 
 class Chunk(NamedTuple):

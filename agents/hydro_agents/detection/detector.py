@@ -255,12 +255,12 @@ class Reading(NamedTuple):
             cause = np.where(np.isnan(score), Cause.UNDETERMINED, Cause.NONE)
         values = dict.fromkeys(cls._fields, np.nan) | {"fault": "", "why": Why.ANSWERED} | known
         values |= {"score": score, "cause": cause}
-        kinds: Any = {"fault": object, "cause": np.int8, "why": np.int8}
-        arrays: list[Any] = []
+        kinds = {"fault": object, "cause": np.int8, "why": np.int8}
+        arrays = []
         for name, value in values.items():
             array = np.asarray(value, dtype=kinds.get(name, np.float64))
             arrays.append(np.broadcast_to(array, score.shape).copy())
-        return cls(*arrays)
+        return cls._make(arrays)
 
     @property
     def answers(self) -> Mask:
@@ -279,15 +279,14 @@ class Reading(NamedTuple):
 
     def part(self, chosen: Indices) -> Reading:
         """Some of the windows."""
-        some: Any = (values[chosen] for values in self)
-        return Reading(*some)
+        return Reading._make(values[chosen] for values in self)
 
     def replaced(self, chosen: Indices, other: Reading) -> Reading:
         """This reading with the windows ``chosen`` as another one reads them."""
         copies: list[Any] = [values.copy() for values in self]
         for values, new in zip(copies, other, strict=True):
             values[chosen] = new
-        return Reading(*copies)
+        return Reading._make(copies)
 
     def among(self, chosen: Indices, count: int, why: Why) -> Reading:
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""

@@ -120,7 +120,7 @@ class HeadState(NamedTuple):
 def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, Singles]:
     """Zeros of the names, shapes and types of a head's tensors."""
     sizes = (inputs, width, width // 2, OUTPUTS)
-    shapes: dict[str, tuple[int, ...]] = {
+    shapes = {
         "mean": (inputs,),
         "scale": (inputs,),
         "whitener": (inputs, inputs),
@@ -137,7 +137,7 @@ def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, Singles]:
 
 def standardised(features: Singles, mean: Array, scale: Array) -> Singles:
     """Inputs of the network, (N, F)."""
-    inputs: Singles = np.clip((features - mean) * scale, -LARGEST_INPUT, LARGEST_INPUT)
+    inputs = np.clip((features - mean) * scale, -LARGEST_INPUT, LARGEST_INPUT)
     return inputs
 
 

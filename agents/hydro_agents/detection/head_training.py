@@ -51,7 +51,7 @@ Progress = Callable[[str, int, int, float], None]
 def make_network(width: int, inputs: int = len(FEATURES), dropout: float = 0.0) -> nn.Sequential:
     """The network: from features to the outputs of a head."""
     sizes = (inputs, width, width // 2, OUTPUTS)
-    layers: list[nn.Module] = []
+    layers = []
     for layer in range(LAYERS - 1):
         layers += [nn.Linear(sizes[layer], sizes[layer + 1]), nn.ReLU()]
         if dropout:
@@ -91,7 +91,7 @@ def train_head(
     settings.check(config)
     torch.set_num_threads(1)  # more threads cost more than this small network gains
     began = time.monotonic()
-    tell: Progress = progress or (lambda *_: None)
+    tell = progress or (lambda *_: None)
 
     def windows(phase: str, split: str, episodes: int, first_seed: int) -> LabelledWindows:
         jobs = TrainingPlan(config, controllers, settings, split).jobs(episodes, first_seed)
@@ -103,7 +103,7 @@ def train_head(
 
     data = windows("data", "training", settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start)
     validation = windows("validation", "validation", settings.validation_episodes, THRESHOLDS.first)
-    record: dict[str, Any] = {"seed": seed, "settings": settings.model_dump(mode="json")}
+    record = {"seed": seed, "settings": settings.model_dump(mode="json")}
     tensors = fitted(data, settings, seed, tell)
     head = calibrated(tensors, config, settings.longest_window(config), validation, record)
     head.settings.training["seconds"] = round(time.monotonic() - began, 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -82,7 +81,7 @@ class HeadDetector:
         outside, still = found.outside > 0.0, found.outside == AT_REST
         stuck = outside & (found.sensor_fault == BESIDE_STUCK_SENSOR["sensor_fault"])
         thresholds = logit(head.tensors["thresholds"])[[LABELS.index(name) for name in _OTHER_LABELS]]
-        excess: Any = logit(np.column_stack([getattr(found, name) for name in _OTHER_LABELS])) - thresholds
+        excess = logit(np.column_stack([getattr(found, name) for name in _OTHER_LABELS])) - thresholds
         named = np.where(excess.max(axis=1) > 0.0, np.array(OTHER_CAUSES)[excess.argmax(axis=1)], Cause.NONE)
         evidence = logit(found.probability) + logit(self.head.settings.threshold) - logit(head.settings.threshold)
         faults = []

@@ -22,7 +22,6 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.reference_signals import MOVING_FAMILIES
-from hydro_env.types import Floats
 
 UNTUNED = "flow linearisation, untuned"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
@@ -87,7 +86,7 @@ def on_drawn_rigs(
     Raises:
         ConfigurationError: an agent cannot be made, or failed.
     """
-    jobs: dict[str, Job] = {}
+    jobs = {}
     assert drawn.law is not None
     for name, what in {UNTUNED: "flow_linearising", **agents}.items():
         of_rig = what in (*CONTROLLERS, *SHIPPED_WEIGHTS)
@@ -128,6 +127,6 @@ def beside_untuned(rows: pd.DataFrame, by: str) -> Iterator[tuple[str, pd.DataFr
 def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
     """One row per agent: its errors relative to those of untuned flow linearisation, failures, and its return."""
     for name, own, ratios in beside_untuned(rows, "agent"):
-        returns: Floats = own["return"].to_numpy()
+        returns = own["return"].to_numpy()
         spread = float(np.sqrt(np.mean(own["return_sd"] ** 2 + (returns - returns.mean()) ** 2)))
         yield [name, *ratios, f"{int(own['failures'].sum())}", f"{returns.mean():.1f} ± {spread:.1f}"]

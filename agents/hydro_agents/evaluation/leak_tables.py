@@ -105,7 +105,7 @@ def detection(results: Results) -> pd.DataFrame:
 @table("sizes")
 def sizes(results: Results) -> pd.DataFrame:
     """Errors of the size and coverage of the 90 % intervals, over windows in which the detector gives an answer."""
-    bounds: dict[Any, float] = {}
+    bounds = {}
     if len(bound := results.part("bound")):
         bounds = bound.groupby(["condition", "level"])["sigma_lpm"].median().to_dict()
     rows = []
@@ -125,7 +125,7 @@ def _errors_of_size(frame: pd.DataFrame, level: float) -> dict[str, Any]:
     told = frame[frame["flow_lpm"].notna()]
     truth, estimate = told["leak_lpm"].to_numpy(), told["flow_lpm"].to_numpy()
     low, high = told["low_lpm"].to_numpy(), told["high_lpm"].to_numpy()
-    row: dict[str, Any] = {"windows": len(frame), "told": len(told), "rms_log10": np.nan, "median_error_lpm": np.nan}
+    row = {"windows": len(frame), "told": len(told), "rms_log10": np.nan, "median_error_lpm": np.nan}
     if len(told):
         decades = np.log10(np.maximum(estimate, SMALLEST_SIZE) / truth)
         row["median_error_lpm"] = float(np.median(np.abs(estimate - truth)))

@@ -197,10 +197,10 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
     )
     failed, bias = rollout.failed_at[case] >= 0, float(rollout.position_bias[case])
     error = np.asarray(reference, dtype=np.float64) - position
-    settling: list[float] = []
-    steady: list[float] = []
-    steady_sensor: list[float] = []
-    beyond: list[float] = []
+    settling = []
+    steady = []
+    steady_sensor = []
+    beyond = []
     final = max(round(FINAL_SHARE / period), 1)
     ahead = round(preview / period)
     for first, end in standstills(reference, period):

@@ -201,7 +201,7 @@ class StudySettings(Group):
         Raises:
             ConfigurationError: a controller cannot be made or has no weights.
         """
-        controllers: dict[str, Controller] = {}
+        controllers = {}
         for name, entry in self.controllers.items():
             own = [agent for agent in agents if split_name(agent)[0] == name]
             for agent in own:
@@ -226,7 +226,7 @@ class StudySettings(Group):
             return load_controller(self.make(name), self.task, name)
         corrected = self.controllers.get(entry.corrects or "")
         if entry.kind in SHIPPED_WEIGHTS and corrected is not None and corrected.kind == "flow_linearising":
-            settings: Any = entry.settings
+            settings = entry.settings
             has_memory = bool(settings.lstm_cells)
             if settings.law or not has_memory:  # of the shipped ones only those for any axis have a memory
                 return load_controller(entry.kind, self.task, name)
@@ -263,7 +263,7 @@ class StudySettings(Group):
         """
         if all(getattr(self.task.sensors, name).fitted for name in SENSORS):
             return self
-        controllers: dict[str, ControllerEntry] = {}
+        controllers = {}
         for name, entry in self.controllers.items():
             try:
                 if entry.kind in CONTROLLERS:

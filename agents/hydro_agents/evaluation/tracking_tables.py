@@ -7,12 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.comparison import ALL, Grid, Mask
+from hydro_agents.evaluation.comparison import ALL, Grid
 from hydro_agents.evaluation.metrics import COMPARED, METRICS, RETURN
 from hydro_agents.evaluation.runner import FAILED, Results, table
 from hydro_agents.running.limit_cycles import counted
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.statistics import interval
+from hydro_env.types import Mask
 
 LEAK_GROUP = "leak"
 

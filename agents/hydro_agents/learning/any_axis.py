@@ -115,7 +115,7 @@ class AnyAxisFeatures(PolicyFeatures):
         Raises:
             ConfigurationError: the rig lacks a sensor that the corrected controller reads.
         """
-        base: Any = self.leader
+        base = self.leader
         type(base)(base.gains, config)  # names a missing sensor
         usual = task_config(config, episode_duration=TaskConfig().episode_duration)  # longer ones find other gains
         own = self.base and type(base)(gains(kind_of(base), usual), usual)

@@ -216,7 +216,7 @@ class PolicyFeatures:
         return [inputs, ahead.astype(np.float32)]
 
     def _normalised(self, parts: list[Singles]) -> Singles:
-        inputs: Singles = np.concatenate(parts, axis=1, dtype=np.float32)
+        inputs = np.concatenate(parts, axis=1, dtype=np.float32)
         return inputs if self.normalisation is None else self.normalisation(inputs)
 
     def applied(self, share: float) -> Self:
@@ -254,7 +254,7 @@ class PolicyFeatures:
         bounded = np.clip(output.astype(np.float32, copy=False), -1.0, 1.0)
         if self.base is None:
             return bounded
-        corrected: Observation = np.clip(state.base_command + np.float32(self.residual_scale) * bounded, -1.0, 1.0)
+        corrected = np.clip(state.base_command + np.float32(self.residual_scale) * bounded, -1.0, 1.0)
         return corrected.astype(np.float32)
 
     def describe(self) -> dict[str, Any]:

@@ -252,7 +252,7 @@ class PolicyController:
 
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`hydro_agents.running.weights.save_weights`."""
-        settings: dict[str, Any] = {
+        settings = {
             "features": self.features.describe(),
             "layer_sizes": [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)],
             "activation": self.activation,
@@ -302,7 +302,7 @@ def _features_of(model: Any) -> PolicyFeatures:
         scaling = env if getattr(env, "norm_obs", False) else scaling
         env = env.venv
     try:
-        config: TaskConfig = env.get_attr("config")[0]
+        config = env.get_attr("config")[0]
     except AttributeError:
         raise ConfigurationError("from_sb3: the model has no environment of hydro_env: model.set_env(env)") from None
     features = copy(getattr(env, "features", None) or PolicyFeatures(config, lags=()))

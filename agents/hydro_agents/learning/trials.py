@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
-from typing import Any
 
 import numpy as np
 
@@ -73,7 +72,7 @@ def costs_of(
         axes = env.axes
         reference = axes.reference[:, : config.steps + 1] - axes.column("bias")[:, _POSITION, None]
         before = axes.column("command").copy()
-        memories: list[Any] = [None] * candidates
+        memories = [None] * candidates
         able = np.array([controller is not None for controller in controllers])
         alive, total = np.ones(len(before), dtype=np.bool_), np.zeros(len(before))
         action = np.zeros((len(before), 1), dtype=np.float32)

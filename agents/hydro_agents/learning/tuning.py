@@ -112,7 +112,7 @@ def tune(
     tasks = [config] if isinstance(config, TaskConfig) else list(config)
     space = Space(group, tasks[0].plant)
     optimiser = _optimiser(space, start, search)
-    best: Tuned | None = None
+    best = None
     for generation in range(-(-search.evaluations // search.population)):
         points = [optimiser.ask() for _ in range(search.population)]
         gains = [_gains(start, space.values(point), search.separable) for point in points]

@@ -117,7 +117,7 @@ class AxisVecEnv(_SharedVecEnv):
         self.taught = np.zeros((count, 1), dtype=np.float32)  # the teacher's commands for the last inputs
         self._returns = np.zeros(count)
         self._lengths = np.zeros(count, dtype=np.int64)
-        observed: spaces.Space[Any] = self.env.single_observation_space
+        observed = self.env.single_observation_space
         if features is not None:
             observed = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size,), np.float32)
         super().__init__(count, observed, self.env.single_action_space)
@@ -125,8 +125,8 @@ class AxisVecEnv(_SharedVecEnv):
 
     def reset(self) -> VecEnvObs:
         """Begin an episode on every axis; returns the policy's inputs (N, size)."""
-        seeds: Any = None
-        options: Any = None
+        seeds = None
+        options = None
         if self._seeds[0] is not None:
             seeds = self._seeds * (self._total // self.num_envs)
         if any(self._options):

@@ -90,7 +90,7 @@ def _listed(folder: Path, job: str, writes: Sequence[str], resume: bool | None, 
 
     A killed command leaves the first one, which names its files too.
     """
-    files: dict[str, list[str]] = {}
+    files = {}
     if os.path.lexists(folder / MANIFEST_FILE):
         try:
             files = dict(read_json(folder / MANIFEST_FILE)["files"])

@@ -138,7 +138,7 @@ def run_jobs(listed: Mapping[str, Job], folder: Path | None, progress: Report | 
         ConfigurationError: a file cannot be written, or a worker was killed.
     """
     report = progress or (lambda *_: None)
-    results: dict[str, JobResult] = {}
+    results = {}
     for key, job in listed.items():
         stored = load_result(folder, job)
         if stored is not None:
@@ -171,7 +171,7 @@ def answers_of(waiting: Mapping[str, Job]) -> Generator[tuple[str, JobResult], N
         yield _run_alone(key, waiting[key])
     if not left:
         return
-    pool: Any = Parallel(batch_size=1, return_as="generator_unordered")
+    pool = Parallel(batch_size=1, return_as="generator_unordered")
     answers = pool(delayed(_run_alone)(key, job) for key, job in left.items())
     try:
         for answer in answers:  # noqa: UP028 (`yield from` would close the answers before the warning is off)

@@ -161,7 +161,7 @@ def named_faults(texts: Sequence[str]) -> dict[str, float]:
     Raises:
         ConfigurationError: a value has the wrong form, or a name is unknown or given twice.
     """
-    faults: dict[str, float] = {}
+    faults = {}
     for text in texts:
         name, _, value = text.partition("=")
         if name not in FAULTS:

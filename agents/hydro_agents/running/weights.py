@@ -154,7 +154,7 @@ def _unpacked(content: bytes, path: Path) -> dict[str, Array]:
 
 def _described(text: bytes, kind: str, path: Path, version: int) -> dict[str, Any]:
     try:
-        settings: Any = json.loads(text.decode())
+        settings = json.loads(text.decode())
     except (ValueError, RecursionError):  # ValueError: also for bytes that are not text, and integers of 5000 digits
         raise ConfigurationError(f"{path}: not a JSON file") from None
     named = settings.get("format") if isinstance(settings, dict) else None
