@@ -4,8 +4,6 @@
 including the compiler, is imported at first use.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING, Any
 

@@ -1,7 +1,5 @@
 """Checks of the arguments that callers pass to the environments; a wrong one raises an error of one line."""
 
-from __future__ import annotations
-
 import reprlib
 from typing import Any
 

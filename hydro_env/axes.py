@@ -4,8 +4,6 @@
 :class:`Axes` holds the arrays and calls two compiled functions: one begins episodes, one advances a control period.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor

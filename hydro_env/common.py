@@ -1,7 +1,5 @@
 """What the environments of one axis and of many share: their arrays, and a spec of plain data."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from copy import deepcopy

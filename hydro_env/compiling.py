@@ -5,8 +5,6 @@ over the fields of a named tuple nor ``_replace``; this module generates the fun
 of fields (:func:`tuple_reader` and the others).
 """
 
-from __future__ import annotations
-
 import gc
 import hashlib
 import sys

@@ -1,7 +1,5 @@
 """The Gymnasium environment of one servo axis."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 

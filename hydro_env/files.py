@@ -1,7 +1,5 @@
 """Configuration as data: frozen validated groups, read from YAML; an error names every mistake in one line."""
 
-from __future__ import annotations
-
 import codecs
 import json
 import os

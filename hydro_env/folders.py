@@ -1,7 +1,5 @@
 """Folder of the configuration files that ship with the project, and files in it by name."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

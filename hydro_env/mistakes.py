@@ -1,7 +1,5 @@
 """Mistakes of the user in words: unknown names with the one that was probably meant, and several mistakes as one."""
 
-from __future__ import annotations
-
 import difflib
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence

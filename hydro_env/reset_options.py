@@ -1,7 +1,5 @@
 """The options of ``reset``: they fix parts of the next episode of some axes, and are checked before any change."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

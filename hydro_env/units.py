@@ -1,7 +1,5 @@
 """Practical units, quantities written with a unit, and configuration fields with unit, origin and bounds."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

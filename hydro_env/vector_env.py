@@ -1,7 +1,5 @@
 """The Gymnasium vector environment: N axes in one compiled step, bit-identical to N single environments."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Formulas for hand calculations: natural frequency, stiffness, speed and force limits."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The compiled functions of one plant on plain NumPy arrays, for simulation, linearisation and the reference solver."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any, NamedTuple
 

@@ -6,8 +6,6 @@ them for the fast kernel; the reference solver and the linearisation call them f
 are algebraic (no exp, tanh, pow), which lets the compiler vectorise them. SI units, gauge pressures.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Annotated, Any, NamedTuple
 

@@ -4,8 +4,6 @@ Two unknowns, the pressure of chamber a and the spool position, must make the ne
 flows come from the right-hand side (``equations``): another valve or leak needs no change here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any

@@ -8,8 +8,6 @@ lane. When a plant reaches its end time, its lane takes the next plant. No opera
 depend neither on its neighbours, nor on their number, nor on threads.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import cache

@@ -4,8 +4,6 @@ A Runge–Kutta step across such a point loses its order, and its error estimate
 predicts its next kink; the integrator ends a step there.
 """
 
-from __future__ import annotations
-
 import math
 
 from hydro_env.compiling import inline

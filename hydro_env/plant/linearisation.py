@@ -1,7 +1,5 @@
 """The axis linearised at a state: matrices, modes, and a state space in the form that control libraries use."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple

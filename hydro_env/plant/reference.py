@@ -5,8 +5,6 @@ meets or leaves a limit (by root finding on its own interpolant). Between these 
 and a free one is not limited; the solver never integrates over a jump.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Open-loop runs of one plant, with the fast integrator or the reference solver."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

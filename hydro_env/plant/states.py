@@ -4,8 +4,6 @@ Everything else follows from the table: the layout of arrays, the error weights 
 SI units, gauge pressures.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from functools import cache

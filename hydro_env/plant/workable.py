@@ -1,7 +1,5 @@
 """Checks that a rig can work; an error of one line names each impossible figure."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

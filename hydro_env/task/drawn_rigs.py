@@ -4,8 +4,6 @@ The law draws answers to the questions of ``hydro new-rig``. The mass follows fr
 of the valve from a drawn full speed; what the questions leave open gets that command's assumptions and ranges.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache, partial
 from typing import Any

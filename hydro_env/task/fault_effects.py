@@ -1,7 +1,5 @@
 """Effects of the faults of an episode on plant, drive and sensors, in compiled code."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

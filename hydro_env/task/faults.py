@@ -5,8 +5,6 @@ observation does not show them; ``info["faults"]`` does. To add a fault, add a c
 :class:`Faults`, and its effect in :mod:`hydro_env.task.fault_effects`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """Groups of settings with intervals: pairs of rising numbers within bounds."""
 
-from __future__ import annotations
-
 from typing import Any, Self
 
 from pydantic import Field, model_validator

@@ -3,8 +3,6 @@
 All draws come from counter-based random numbers: an axis's episode depends only on its own root and episode number.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from typing import Any

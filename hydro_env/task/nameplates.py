@@ -3,8 +3,6 @@
 ``hydro new-rig`` writes the same values as a file, each with its origin (:mod:`hydro_agents.rigs.rig_file`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """How fast a rig is: its delay, its pace, its full speed. They are the units of whatever shall fit any rig."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ source's draws never shift another's, the noise of a step does not depend on the
 stored. Mixing function: SplitMix64 (Steele, Lea & Flood 2014).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

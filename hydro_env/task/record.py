@@ -1,7 +1,5 @@
 """The data of each axis in compiled code: a record with named fields, and arrays."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

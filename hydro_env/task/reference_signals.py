@@ -5,8 +5,6 @@ plant (:class:`Feasible`). There are two intended exceptions: steps exceed the s
 change their speed abruptly.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ To add a term, add a field to :class:`Costs`, its expression to :func:`costs`, a
 :class:`~hydro_env.task.configuration.Reward`.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A task on another rig: content of a rig's file, and settings of a task that follow from a rig."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Draws and schedules of an episode: the leak past the piston, and the external force."""
 
-from __future__ import annotations
-
 import math
 from typing import get_args
 

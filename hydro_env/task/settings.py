@@ -1,7 +1,5 @@
 """A task as numbers for compiled code, under the names of the configuration's fields."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, Literal, get_args, get_origin

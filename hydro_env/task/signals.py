@@ -4,8 +4,6 @@ To add a measured signal, add a ``Sensor`` to :class:`~hydro_env.task.sensors.Se
 :func:`sample`, and its row and value to :func:`_entries` and :func:`write_observation`; CONTRIBUTING shows every line.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The command ``hydro``: simulate the axis, train controllers, evaluate them, or run a whole study."""
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 import os

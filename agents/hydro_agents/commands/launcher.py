@@ -1,7 +1,5 @@
 """Entry point of the command ``hydro``: if the learning libraries are missing, it names the extra to install."""
 
-from __future__ import annotations
-
 import sys
 
 

@@ -1,7 +1,5 @@
 """What a command shows of the results of a protocol: its page, and its main figures on the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 from pathlib import Path

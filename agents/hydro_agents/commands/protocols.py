@@ -1,7 +1,5 @@
 """Runs a protocol for a command: as its options say, in its folder, with the facts of the run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar

@@ -1,7 +1,5 @@
 """``hydro new-rig`` and ``check-rig``: the file of a rig from its nameplates, and its figures."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import sys

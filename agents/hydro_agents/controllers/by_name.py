@@ -1,7 +1,5 @@
 """Objects of users by name: ``module:attribute``."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

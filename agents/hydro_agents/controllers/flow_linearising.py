@@ -4,8 +4,6 @@ Sources: Jelali & Kroll, *Hydraulic Servo-systems* (2003), chapters 5 and 6: inv
 linearisation, dynamic pressure feedback. Merritt, *Hydraulic Control Systems* (1967), chapters 5 and 6.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ speed at full opening. Jelali & Kroll, *Hydraulic Servo-systems* (2003), chapter
 with air, inverse valve characteristic, exact linearisation.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -4,8 +4,6 @@ Sources: Ljung & Söderström, *Theory and Practice of Recursive Identification*
 estimated as states. Gelb, *Applied Optimal Estimation* (1974), section 3.8: the first-order Markov process.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hydro_env.types import Floats

@@ -1,7 +1,5 @@
 """Any controller of the project in a loop that is not ours: measured signals in, volts out."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

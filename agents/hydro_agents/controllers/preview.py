@@ -5,8 +5,6 @@ that remembers them soon knows every sample up to the farthest; until then it in
 the reference: it sets off before the jump, and brakes towards its end.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hydro_agents.controllers.base import Observation, ObservationLayout, surely_zero

@@ -3,8 +3,6 @@
 A file of gains holds each with its unit, and as an engineer enters it in a PLC.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The sampled position loop around the linearised axis: its largest stable proportional gain, its stiffness."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The activity of an axis during a window: it stands, moves slowly, or moves; a leak shows differently in each."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 import numpy as np

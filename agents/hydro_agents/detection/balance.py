@@ -19,8 +19,6 @@ estimate the oil as too stiff, above all at standstill. The fit therefore subtra
 (corrected least squares: Fuller 1987, *Measurement Error Models*, section 2.2).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -3,8 +3,6 @@
 The candidate valve that fits the readings best gives the spool's motion, and the readings correct it.
 """
 
-from __future__ import annotations
-
 import math
 
 from hydro_agents.detection.sheet import POINTS

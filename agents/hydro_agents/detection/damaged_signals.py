@@ -1,7 +1,5 @@
 """Damaged signals: lost samples take the previous reading, and sensors that repeat one reading count as stuck."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

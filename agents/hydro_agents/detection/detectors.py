@@ -1,7 +1,5 @@
 """The detectors of a protocol by name: the leakage head, the estimator, or any class of your own."""
 
-from __future__ import annotations
-
 from pydantic import Field, field_validator
 
 from hydro_agents.controllers.by_name import imported

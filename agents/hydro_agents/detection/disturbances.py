@@ -4,8 +4,6 @@ The leakage head learns from them to mark such a window as "outside" (outlier ex
 2019, *Deep Anomaly Detection with Outlier Exposure*).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """The features of a window of measured signals for the leakage head: the flow balance, and statistics of the motion."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Trains the leakage head on windows of simulated axes: in many kinds of operation, with leaks and other faults."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

@@ -6,8 +6,6 @@ network's answer is not among the rarest 5 % at either end (Neyman 1937, *Outlin
 Estimation*).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hydro_env.types import Array, Floats, Indices, Mask

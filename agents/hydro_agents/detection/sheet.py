@@ -1,7 +1,5 @@
 """Prior knowledge of the leakage head about an axis: its data sheet, as numbers for compiled code, and priors."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Settings of the leakage head's training, apart from its windows: a study reads them also where it trains none."""
 
-from __future__ import annotations
-
 import math
 
 from pydantic import ConfigDict, Field

@@ -5,8 +5,6 @@
 :class:`~hydro_agents.evaluation.leak_protocol.LeakProtocol` for detectors of leaks.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping

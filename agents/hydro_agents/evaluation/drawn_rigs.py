@@ -4,8 +4,6 @@ An agent of one's own reads the observation of ``rig="drawn"``, the baseline tha
 same plants, references and noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Compare controllers on test plants: a protocol with one condition, the task itself."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -3,8 +3,6 @@
 docs/leakage.md describes their columns.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Control metrics of one episode; NaN where a metric has no meaning."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import NamedTuple

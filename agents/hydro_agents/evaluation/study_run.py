@@ -5,8 +5,6 @@ resume. A study with several training seeds trains each learned controller once 
 the seeds share its rows in the tables, whose intervals include them.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The tables of a protocol of controllers: summary, comparison, ranking, rest."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

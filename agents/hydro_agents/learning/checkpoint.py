@@ -1,7 +1,5 @@
 """The whole state of a training of PPO between two rollouts, as a file from which it continues bit for bit."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

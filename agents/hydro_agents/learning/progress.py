@@ -3,8 +3,6 @@
 The log goes to ``progress.csv``, and to TensorBoard if it is installed.
 """
 
-from __future__ import annotations
-
 import math
 import time
 import warnings

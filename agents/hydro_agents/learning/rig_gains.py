@@ -3,8 +3,6 @@
 A simulation of the rig judges them; its plants, leaks and references are those of a training.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import math

@@ -1,7 +1,5 @@
 """The largest stable gain of a rig, linearised and simulated, and of the plants within its ranges; PIDs from them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple

@@ -5,8 +5,6 @@ families. There an oscillation of its own costs most. Errors are those that the 
 no controller sees the sensor's bias.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import closing
 

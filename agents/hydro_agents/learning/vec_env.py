@@ -1,7 +1,5 @@
 """The native vector environment as a ``VecEnv`` of stable-baselines3: axes of one rig, or of many rigs in one batch."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Folders of shipped weights and of results; :mod:`hydro_env.folders` finds the configuration files."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -5,8 +5,6 @@ results. The active ``joblib.parallel_config`` says where they run, and how many
 one after another in this process.
 """
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import io

@@ -4,8 +4,6 @@ With sensor noise every stiff loop moves a little, which looks like a limit cycl
 noise: a small step of the reference and back excites it, then it must come to rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 

@@ -4,8 +4,6 @@ A seed fixes plant, reference and noise. Training, validation and test have a se
 has a range of its own in one set: the ranges are disjoint, and no choice depends on a result of test seeds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

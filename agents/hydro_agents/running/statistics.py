@@ -7,8 +7,6 @@ of 1 and gives the estimate; the others give the interval. Two controllers share
 paired.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Numbers, lists, durations and tables as text, the same on the console, in files and on all pages."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 

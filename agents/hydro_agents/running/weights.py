@@ -1,7 +1,5 @@
 """Weights as safetensors with a JSON file, checkpoints as one file; loading runs no code."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Leaks: past the piston (10), through the throttle in parallel, and past the rod seal (11)."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Literal, NamedTuple
 

@@ -1,7 +1,5 @@
 """The load that the rod moves: mass, spring, damper, end stops; (14), (17)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from hydro_env.compiling import inline, merged

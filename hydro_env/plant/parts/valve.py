@@ -1,7 +1,5 @@
 """The 4/3 servo valve: drive coil, spool, and the four metering edges; (1) to (3) and (18), rows 5 to 7."""
 
-from __future__ import annotations
-
 import math
 from enum import StrEnum
 from typing import NamedTuple
