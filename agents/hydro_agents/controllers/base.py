@@ -196,8 +196,7 @@ class ClassicalController:
     at each call: the exported code lets them change while the machine runs.
     """
 
-    estimate_names: tuple[str, ...] = ()  # names of the values of estimates
-    memory: type[Any]  # class of its memory, whose fields tables of controllers name
+    estimate_names: tuple[str, ...] = ()  # of the values of estimates
 
     def __init__(self, gains: Any, config: TaskConfig) -> None:
         self.gains, self.config, self.layout = gains, config, ObservationLayout.of(config)

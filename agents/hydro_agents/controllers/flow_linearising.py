@@ -102,8 +102,6 @@ class FlowLinearising(ClassicalController):
 
     estimate_names = ("position_error", "flow_gain", "leak", "offset", "speed")
 
-    memory = FlowLinearisingState
-
     def __init__(self, gains: FlowLinearisingGains, config: TaskConfig) -> None:
         super().__init__(gains, config)
         self.layout.needs(("pressure_a", "pressure_b"), "flow linearisation")

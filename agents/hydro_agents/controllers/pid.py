@@ -76,8 +76,6 @@ class PID(ClassicalController):
         (2, 1)
     """
 
-    memory = PIDState
-
     def __init__(self, gains: PIDGains, config: TaskConfig) -> None:
         super().__init__(gains, config)
         counts, self._shown = np.unique(np.array(config.preview_samples, dtype=np.int64), return_index=True)

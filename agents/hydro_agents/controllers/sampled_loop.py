@@ -99,7 +99,7 @@ class SampledLoop:
         first = self._first_unstable(gain * np.exp(-1j * np.radians(angles)))
         return float("inf") if first is None else float(angles[max(first - 1, 0)])
 
-    def frequency_response(self, frequencies: Floats) -> NDArray[np.complex128]:
+    def frequency_response(self, frequencies: Floats) -> Array:
         """Response of the position to the command at frequencies in Hz, (n,) → m per command (1 = 10 V), (n,)."""
         z = np.exp(2j * np.pi * self.control_period * np.asarray(frequencies))[:, None]
         inputs = z**-self.late * (self.input_new + self.input_old / z)

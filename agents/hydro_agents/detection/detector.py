@@ -219,7 +219,7 @@ def measured_run(config: TaskConfig, controller: Controller, cases: Cases) -> tu
 def cut(runs: Array, begins: Array, samples: int) -> Array:
     """Windows (N, C, samples) of runs (N, C, T), each from a sample of its own on."""
     windows = sliding_window_view(runs, samples, axis=2)
-    return np.asarray(windows[np.arange(len(runs)), :, begins])
+    return windows[np.arange(len(runs)), :, begins]
 
 
 class Reading(NamedTuple):
@@ -265,12 +265,12 @@ class Reading(NamedTuple):
     @property
     def answers(self) -> Mask:
         """Windows for which the detector gives an answer, (N,)."""
-        return np.asarray(np.isfinite(self.score) & (self.cause < Cause.UNKNOWN))
+        return np.isfinite(self.score) & (self.cause < Cause.UNKNOWN)
 
     @property
     def sized(self) -> Mask:
         """Windows with an answer that gives the size of the leak with an interval, (N,)."""
-        return np.asarray(self.answers & np.isfinite(self.flow_lpm + self.low_lpm + self.high_lpm))
+        return self.answers & np.isfinite(self.flow_lpm + self.low_lpm + self.high_lpm)
 
     @property
     def remarks(self) -> list[str]:
@@ -318,7 +318,7 @@ class Detector(Protocol):
 def logit(probability: ArrayLike) -> Floats:
     """Logarithm of the odds, finite for 0 and 1."""
     inside = np.clip(np.asarray(probability, dtype=np.float64), 1e-15, 1.0 - 1e-15)
-    return np.asarray(np.log(inside / (1.0 - inside)))
+    return np.log(inside / (1.0 - inside))
 
 
 def threshold_at_false_alarm_rate(healthy_scores: Array, rate: float) -> float:

@@ -196,8 +196,7 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
     failed, bias = rollout.failed_at[case] >= 0, float(rollout.position_bias[case])
     error = np.asarray(reference, dtype=np.float64) - position
     settling = []
-    steady = []
-    steady_sensor = []
+    offsets = []
     beyond = []
     final = max(round(FINAL_SHARE / period), 1)
     ahead = round(preview / period)
@@ -206,9 +205,7 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
         if last - first < final:
             continue
         settling.append(settling_time(error[first:last], period))
-        offset = float(np.mean(error[last - final : last]))
-        steady.append(abs(offset))
-        steady_sensor.append(abs(offset - bias))
+        offsets.append(float(np.mean(error[last - final : last])))
         if is_step:
             beyond.append(overshoot(position[first:last], float(reference[first - 1]), float(reference[first])))
     settled = [value for value in settling if not math.isnan(value)]
@@ -222,10 +219,10 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
         "settling_time_s": mean(settled),
         "unsettled_share": 1.0 - len(settled) / len(settling) if settling else math.nan,
         "overshoot_percent": mean(beyond),
-        "steady_state_error_mm": 1e3 * mean(steady),
+        "steady_state_error_mm": 1e3 * mean([abs(offset) for offset in offsets]),
         "mean_error_sensor_mm": 1e3 * float(np.mean(np.abs(error - bias))),
         "peak_error_sensor_mm": 1e3 * float(np.max(np.abs(error - bias))),
-        "steady_state_error_sensor_mm": 1e3 * mean(steady_sensor),
+        "steady_state_error_sensor_mm": 1e3 * mean([abs(offset - bias) for offset in offsets]),
         "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),
         "reversals_per_s": reversals(command) / (period * len(command)),
         "supply_energy_j": float(np.sum(power, dtype=np.float64)) * period,

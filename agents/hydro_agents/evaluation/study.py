@@ -225,11 +225,9 @@ class StudySettings(Group):
         if entry.trainer is None:
             return load_controller(self.make(name), self.task, name)
         corrected = self.controllers.get(entry.corrects or "")
-        if entry.kind in SHIPPED_WEIGHTS and corrected is not None and corrected.kind == "flow_linearising":
-            settings = entry.settings
-            has_memory = bool(settings.lstm_cells)
-            if settings.law or not has_memory:  # of the shipped ones only those for any axis have a memory
-                return load_controller(entry.kind, self.task, name)
+        ships = entry.kind in SHIPPED_WEIGHTS and corrected is not None and corrected.kind == "flow_linearising"
+        if ships and (entry.settings.law or not entry.settings.lstm_cells):  # those for one rig have no memory
+            return load_controller(entry.kind, self.task, name)
         raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
 
     def with_gains_of_rig(self) -> StudySettings:

@@ -89,10 +89,8 @@ def load_policy(path: Path, config: TaskConfig, gains: GainsFor, trainer: Traine
 
     policy: Any = PolicyController.load(path) if trainer is None else trainer.load(path)
     features: Any = getattr(policy, "features", None)
-    if not getattr(features, "for_any_axis", False) or features.config == config:
-        loaded: Controller = policy
-    else:
-        loaded = policy.moved_to(config, gains)
+    moves = getattr(features, "for_any_axis", False) and features.config != config
+    loaded: Controller = policy.moved_to(config, gains) if moves else policy
     return loaded
 
 
@@ -123,10 +121,7 @@ def load_controller(
         hydro_env.errors.ConfigurationError: mine: 'pidd': unknown; did you mean pid? ...
     """
     try:
-        if isinstance(what, str | Path):
-            controller = _named(found_in(what), config, trainer)
-        else:
-            controller = what
+        controller = _named(found_in(what), config, trainer) if isinstance(what, str | Path) else what
         check_predict(controller)
         layout = getattr(getattr(controller, "features", controller), "layout", None)
         if isinstance(layout, ObservationLayout):

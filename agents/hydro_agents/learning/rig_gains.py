@@ -87,14 +87,14 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
     file = folder / f"{kind}_{hashlib.sha256(key.encode()).hexdigest()[:24]}.yaml"
     with contextlib.suppress(ConfigurationError):  # none, or a damaged one
         return validate(CONTROLLERS[kind][1], read_yaml(file), str(file))
-    found = _search(kind, config)
+    found = gains_by_search(kind, config)
     with contextlib.suppress(OSError, HydroError):  # no folder that can be written: the next command searches again
         file.parent.mkdir(parents=True, exist_ok=True)
         write_yaml(file, found.model_dump(mode="json"))
     return found
 
 
-def _search(kind: str, config: TaskConfig) -> Group:
+def gains_by_search(kind: str, config: TaskConfig) -> Group:
     """The best gains of a search.
 
     Fresh cases on the rig and its :func:`neighbours` decide between the best candidate of each generation, the choice

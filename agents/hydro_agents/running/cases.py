@@ -66,13 +66,13 @@ class Cases:
         """The cases from ``first`` to before ``last``."""
         chosen = slice(first, last)
         leak, families, faults = self.leakage_flow_lpm, self.families, self.faults
-        if leak is not None:
-            leak = leak[chosen]
-        if families is not None:
-            families = families[chosen]
-        if faults is not None:
-            faults = {name: sizes[chosen] for name, sizes in faults.items()}
-        return Cases(self.seeds[chosen], leak, families, self.parameters, faults)
+        return Cases(
+            self.seeds[chosen],
+            None if leak is None else leak[chosen],
+            None if families is None else families[chosen],
+            self.parameters,
+            faults and {name: sizes[chosen] for name, sizes in faults.items()},
+        )
 
     def chunks(self, size: int) -> list[Cases]:
         """The cases in parts of at most ``size``."""

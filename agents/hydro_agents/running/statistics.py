@@ -70,10 +70,10 @@ def means(values: Floats, weights: Weights) -> Floats:
     """Weighted mean of values (S, U, K) in every resampling, (R + 1,); NaN without values."""
     total, count = np.nansum(values, axis=2), np.sum(~np.isnan(values), axis=2)
     with np.errstate(invalid="ignore"):
-        return np.asarray(_weighted(total, weights) / _weighted(count.astype(np.float64), weights))
+        return _weighted(total, weights) / _weighted(count, weights)
 
 
-def _weighted(values: Floats, weights: Weights) -> Floats:
+def _weighted(values: Array, weights: Weights) -> Floats:
     """Σ over seeds and plants of weight · weight · value (S, U)."""
     return np.asarray(np.sum(weights.seeds * (weights.plants @ values.T), axis=1))
 

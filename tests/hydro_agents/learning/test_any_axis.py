@@ -14,7 +14,7 @@ from hydro_agents.learning.any_axis import PREVIEW_PACES, USUAL_ERROR, AnyAxisFe
 from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_SCALE
 from hydro_agents.learning.loading import load_controller
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.rig_gains import chosen_gains, costs_on_rig, gain_sets, searched_gains
+from hydro_agents.learning.rig_gains import chosen_gains, costs_on_rig, gain_sets
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
 from hydro_agents.learning.tuning import Tuned
@@ -132,11 +132,10 @@ def test_a_search_counts_where_its_candidates_are_better_on_other_cases(monkeypa
     good, task = FlowLinearisingGains(), RIGS[1]
     slow = good.model_copy(update={"position_gain": 0.2 * good.position_gain})
     for known, found in ((slow, good), (good, slow)):
-        monkeypatch.setattr(rig_gains, "_FOUND", {})
         monkeypatch.setattr(rig_gains, "gain_sets", lambda *_, known=known: [known, known])
         monkeypatch.setattr(rig_gains, "chosen_gains", lambda *_, known=known: known)
         monkeypatch.setattr(rig_gains, "tune", lambda *_, progress, found=found, **__: progress(Tuned(found, None, 0)))
-        assert searched_gains("flow_linearising", task) == good
+        assert rig_gains.gains_by_search("flow_linearising", task) == good
 
 
 def test_a_search_asks_what_its_nameplates_may_not_tell():
