@@ -110,12 +110,9 @@ class ResetOptions:
             if (values["rig"] % 1.0 != 0.0).any():
                 raise _wrong(f"rig = {shown(given['rig'])}: must be whole numbers")
             half = self._half_strokes[values["rig"].astype(np.int64)].min()
-        numbers_given = {
-            "initial_position": (-half, half, "m"),
-            "leakage_flow_lpm": (0.0, LEAKAGE_LIMIT, "l/min at 100 bar"),
-        }
-        for name in given.keys() & numbers_given.keys():
-            values[name] = self._per_axis(given[name], name, axes, *numbers_given[name])
+        bounds = {"initial_position": (-half, half, "m"), "leakage_flow_lpm": (0.0, LEAKAGE_LIMIT, "l/min at 100 bar")}
+        for name in given.keys() & bounds.keys():
+            values[name] = self._per_axis(given[name], name, axes, *bounds[name])
         if "faults" in given:
             values["faults"] = self._faults(given["faults"], axes)
         if "parameters" in given:

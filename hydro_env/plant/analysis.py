@@ -97,9 +97,8 @@ def speed_limits(parameters: PlantParameters, force: float = 0.0) -> Limits:
     c = plant_coefficients(parameters)
     cubes = c.area_a**3 + c.area_b**3 / c.edge_ratio**2
     out, back = full_pressure_forces(parameters)
-    return Limits(
-        c.edge_gain * math.sqrt(max(out - force, 0.0) / cubes), c.edge_gain * math.sqrt(max(back + force, 0.0) / cubes)
-    )
+    extending, retracting = (math.sqrt(max(free, 0.0) / cubes) for free in (out - force, back + force))
+    return Limits(c.edge_gain * extending, c.edge_gain * retracting)
 
 
 def reachable_range(parameters: PlantParameters) -> tuple[float, float]:

@@ -136,12 +136,8 @@ def functions_of(structure: Structure) -> AxisFunctions:
             _write_derived(out[sample], derived_quantities(read(states[sample]), c, parts))
         return out
 
-    return AxisFunctions(
-        compiled(derivative_array),
-        compiled(command_changed_array),
-        compiled(hold_limits_array),
-        compiled(derived_array),
-    )
+    functions = derivative_array, command_changed_array, hold_limits_array, derived_array
+    return AxisFunctions(*map(compiled, functions))
 
 
 derivative_array = functions_of(RIGID).derivative  # (state, coefficients, voltage) of an axis without optional parts

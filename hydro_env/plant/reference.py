@@ -72,9 +72,8 @@ def reference_states(
                 events=plant.events(voltage, held),
             )
             if not solution.success:
-                raise InvalidStateError(
-                    f"the reference solver failed at t = {sample * sample_time + time:g} s: {solution.message}"
-                )
+                when = sample * sample_time + time
+                raise InvalidStateError(f"the reference solver failed at t = {when:g} s: {solution.message}")
             state, time = of_axis.hold_limits(solution.y[:, -1], coefficients), float(solution.t[-1])
             if time >= sample_time:
                 break
@@ -145,9 +144,9 @@ class _Plant:
             return float(1.0 + c.ideal_spool - abs(y[_SPOOL_VELOCITY]) / c.slew_limit)
 
         def stroke(_: float, y: Floats) -> float:
-            return float(
-                held.stroke * y[_SPOOL_VELOCITY] / c.slew_limit if held.stroke else 1.0 + c.ideal_spool - abs(y[_SPOOL])
-            )
+            if held.stroke:
+                return float(held.stroke * y[_SPOOL_VELOCITY] / c.slew_limit)
+            return float(1.0 + c.ideal_spool - abs(y[_SPOOL]))
 
         def vapour(row: int, holds: int) -> Any:
             def distance(_: float, y: Floats) -> float:

@@ -71,9 +71,7 @@ class References(TaskGroup):
         default_factory=lambda: dict.fromkeys(MOVING_FAMILIES, 1.0),
         description="relative frequency of each family; absent families do not occur",
     )
-    user: list[Number] | None = Field(
-        None, description="m, one value per control period from the start; held at its end"
-    )
+    user: list[Number] | None = Field(None, description="m, one per control period from the start; held at its end")
     range_share: Number = Field(0.6, gt=0.0, le=0.95, description="of the range that the supply can hold")
     largest_amplitude: Number = quantity(0.10, "m", "farthest from mid-stroke", 1e-3, 5.0)
     speed_share: Number = Field(0.7, gt=0.0, le=1.0, description="of the speed at full opening on that stretch")
@@ -131,12 +129,7 @@ class Disturbance(TaskGroup):
     kind: Literal["none", "step", "pulse", "sine", "mixed"] = Field(
         "none", description="of the changing force; mixed: step, pulse or sine, drawn per episode"
     )
-    share: Number = Field(
-        1.0,
-        ge=0.0,
-        le=1.0,
-        description="share of episodes with these forces, steady and changing; the others have none",
-    )
+    share: Number = Field(1.0, ge=0.0, le=1.0, description="of the episodes, with these forces, steady and changing")
     force_range: Range = interval((200.0, 1000.0), "N", "amplitude; the sign is drawn", 0.0, 1e6)
     force_share: Range = interval(
         (0.0, 0.0),
@@ -178,13 +171,9 @@ class TaskConfig(TaskGroup):
         description="s; each episode draws its latency from it; command_latency is then the value of the data sheet",
     )
     episode_duration: Number = quantity(2.0, "s", "then the episode is truncated", 0.01, 3600.0)
-    tolerance: Number = quantity(
-        1e-6, "1", "largest estimated error of an inner step, relative to each state's size", 1e-12, 1e-2
-    )
+    tolerance: Number = quantity(1e-6, "1", "largest error of an inner step, relative to a state's size", 1e-12, 1e-2)
     maximum_step: Number = quantity(2e-3, "s", "longest inner step of the integration", 1e-6, 20e-3)
-    plant: PlantParameters = Field(
-        default_factory=PlantParameters, description="the nominal rig, which randomisation varies"
-    )
+    plant: PlantParameters = Field(default_factory=PlantParameters, description="the nominal one")
     law: RigLaw | None = Field(None, description="each episode draws its rig from it; none: the plant above")
     randomisation: Randomisation = Field(
         default_factory=default_randomisation,

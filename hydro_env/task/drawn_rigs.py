@@ -107,7 +107,6 @@ def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, A
 
 def _structure(law: StructureLaw, figures: dict[str, Any], draw: np.random.Generator) -> dict[str, Any]:
     """The figures of the parts that no nameplate tells; draws of their own, so that the rest of the rig stays."""
-
     between = partial(_log_uniform, draw)
     found: dict[str, Any] = {}
     bends, has_waves, is_sharp, at_valve, has_hose = draw.random(5)

@@ -26,7 +26,6 @@ class TaskGroup(Group):
                 low, high = getattr(self, name)
                 if not extra["low"] <= low <= high <= extra["high"]:
                     unit = "" if extra["unit"] == "1" else f" {extra['unit']}"
-                    raise ValueError(
-                        f"{name} = [{low:g}, {high:g}]: must rise within {extra['low']:g} to {extra['high']:g}{unit}"
-                    )
+                    allowed = f"{extra['low']:g} to {extra['high']:g}{unit}"
+                    raise ValueError(f"{name} = [{low:g}, {high:g}]: must rise within {allowed}")
         return self

@@ -108,9 +108,8 @@ class RigLaw(TaskGroup):
             raise ValueError(f"preview_paces = {list(self.preview_paces)}: must rise, each within 0 (excluded) to 20")
         for period, share in self.periods.items():
             if not 0.5 <= period <= 20.0 or not 0.0 < share < math.inf:
-                raise ValueError(
-                    f"periods: {period:g}: {share:g}: each must be within 0.5 to 20 ms, with a positive share"
-                )
+                must = "each must be within 0.5 to 20 ms, with a positive share"
+                raise ValueError(f"periods: {period:g}: {share:g}: {must}")
         if min(self.periods) < self.latency[0]:
             raise ValueError(f"latency: its low end of {self.latency[0]:g} ms exceeds a period")
         return self

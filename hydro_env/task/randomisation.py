@@ -170,11 +170,8 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
         values = list(distribution.bounds(own))
         if distribution.times is not None:
             factor = own_value(plant, distribution.times)
-            factors = (
-                randomisation[distribution.times].bounds(factor)
-                if distribution.times in randomisation
-                else (factor, factor)
-            )
+            drawn = randomisation.get(distribution.times)
+            factors = (factor, factor) if drawn is None else drawn.bounds(factor)
             values = [value * factor for value, factor in zip(values, factors, strict=True)]
         if distribution.otherwise is not None:
             values.append(distribution.otherwise)

@@ -143,9 +143,7 @@ def task_from(
             raise ConfigurationError(f"task: rig = {str(rig)[:60]!r}: must be the name or the YAML file of a rig")
         law = law_of(rig)
         if law is None and overrides.get("law") is not None:
-            raise ConfigurationError(
-                f"task: rig = {str(rig)[:60]!r} is one rig, and law draws others: give one of them"
-            )
+            raise ConfigurationError(f"task: rig = {str(rig)[:60]!r} is one rig, and law draws others: give one")
         task = validate(model, values, source, within)
         values = moved(task, read_rig(rig)) if law is None else task.model_dump() | {"law": law}
     values = merged(values, overrides)

@@ -24,43 +24,25 @@ class PPOSettings(Group):
 
     residual: bool = Field(True, description="true: the policy corrects another controller; false: it acts on its own")
     residual_scale: float = Field(0.2, gt=0.0, le=2.0, description="command per 1 of the policy's output")
-    applied_share: float = Field(
-        1.0, gt=0.0, le=1.0, description="share of the correction that acts after the training; less leaves more margin"
-    )
-    full_preview: bool = Field(
-        False, description="the policy sees every sample of the preview; those between the shown ones come from memory"
-    )
-    see_estimates: bool = Field(
-        False, description="the policy sees the estimates of the corrected controller (residual form only)"
-    )
+    applied_share: float = Field(1.0, gt=0.0, le=1.0, description="of the correction, after the training: more margin")
+    full_preview: bool = Field(False, description="the policy sees every sample of the preview, some from memory")
+    see_estimates: bool = Field(False, description="the policy sees the estimates of the controller that it corrects")
     normalise: bool = Field(False, description="divide inputs by their typical sizes on training plants")
     family_units: Literal[False, True, "sensor"] = Field(
         False,
         description="reward relative to the corrected controller's mean error in the family of the reference: true: of "
         "the true position; sensor: of the position with its sensor's bias",
     )
-    reversal_price: float = Field(
-        0.0, ge=0.0, le=1e6, description="on the smaller swing, in parts of 10 V, at a reversal of the command"
-    )
+    reversal_price: float = Field(0.0, ge=0.0, le=1e6, description="on the smaller swing at a reversal, per 10 V")
     practice: dict[str, Any] = Field(
         default_factory=dict, description="fields of the task with other values in training, such as the share of leaks"
     )
-    law: RigLaw | None = Field(
-        None, description="rigs of the training, for a policy that serves any axis; none: the task's own rig"
-    )
-    start: str | None = Field(
-        None, description="weights of a policy of the same inputs and layers to begin with, a path without its ending"
-    )
-    teacher: str | None = Field(
-        None, description="a shipped controller that a policy without residual imitates first, on its own states"
-    )
+    law: RigLaw | None = Field(None, description="rigs of the training, for any axis; none: the task's own")
+    start: str | None = Field(None, description="path of weights of the same inputs and layers to begin with")
+    teacher: str | None = Field(None, description="shipped controller that a policy without residual imitates first")
     imitated_share: float = Field(0.5, gt=0.0, le=1.0, description="part of the training in which it imitates")
-    imitation_rate: float = Field(
-        1e-3, gt=0.0, le=1.0, description="learning rate of that part; decreases to a hundredth along a cosine"
-    )
-    critic_first: float = Field(
-        0.0, ge=0.0, lt=1.0, description="part of the training in which the critic alone learns: needed by a start"
-    )
+    imitation_rate: float = Field(1e-3, gt=0.0, le=1.0, description="learning rate then; falls to a hundredth")
+    critic_first: float = Field(0.0, ge=0.0, lt=1.0, description="part in which the critic alone learns, after a start")
     reward_scale: float = Field(0.2, gt=0.0, le=1e6)
     total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
     axes: int = Field(256, ge=1, le=65_536)
@@ -71,15 +53,8 @@ class PPOSettings(Group):
         le=4096,
         description="of a recurrent layer (RecurrentPPO of sb3-contrib), which replaces the history; null: none",
     )
-    activation: Literal["tanh", "relu"] = Field(
-        "relu", description="of the hidden layers; relu takes a third less time"
-    )
-    discount: float = Field(
-        0.98,
-        gt=0.0,
-        lt=1.0,
-        description="per step of the rig, 1/1.54 of its pace: a control period in the default task",
-    )
+    activation: Literal["tanh", "relu"] = Field("relu", description="of the hidden layers; relu takes less time")
+    discount: float = Field(0.98, gt=0.0, lt=1.0, description="per step of the rig: 1/1.54 of its pace")
     validation_every: int = Field(1_000_000, ge=0, description="steps between validations; 0: none")
     steps_per_rollout: int = Field(64, ge=2, le=1_000_000, description="control periods per axis between updates")
     minibatches: int = Field(4, ge=1)

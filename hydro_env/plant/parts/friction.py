@@ -41,10 +41,8 @@ class Friction(Group):
         if self.model == FrictionModel.LUGRE and self.coulomb_force <= 0.0:
             raise ValueError("coulomb_force = 0 N must be above 0 with model lugre; model none has no friction")
         if self.model in (FrictionModel.STRIBECK, FrictionModel.LUGRE) and self.breakaway_force < self.coulomb_force:
-            raise ValueError(
-                f"breakaway_force = {self.breakaway_force:g} N must not be below "
-                f"coulomb_force = {self.coulomb_force:g} N"
-            )
+            least = f"coulomb_force = {self.coulomb_force:g} N"
+            raise ValueError(f"breakaway_force = {self.breakaway_force:g} N must not be below {least}")
         return self
 
     @property

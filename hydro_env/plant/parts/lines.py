@@ -27,9 +27,7 @@ class Lines(Group):
 
     volume_a: Number = quantity(0.0, "m³", "assumed; oil between valve and chamber a", 0.0, 0.1)
     volume_b: Number = quantity(0.0, "m³", "assumed; oil between valve and chamber b", 0.0, 0.1)
-    wall_bulk_modulus: Number = quantity(
-        math.inf, "Pa", "assumed; V dp/dV of the wall: infinite for steel", 1e6, math.inf
-    )
+    wall_bulk_modulus: Number = quantity(math.inf, "Pa", "assumed; V dp/dV of the wall: steel inf", 1e6, math.inf)
     length_a: Number = quantity(0.0, "m", "assumed; 0: a volume without waves; give both lengths", 0.0, 100.0)
     length_b: Number = quantity(0.0, "m", "assumed; of the line to chamber b", 0.0, 100.0)
 

@@ -47,15 +47,9 @@ class Valve(Group):
         -0.3,
         0.5,
     )
-    knee_position: Number = quantity(
-        0.5, "1", "assumed; stroke beyond the dead band where the flow curve bends", 0.01, 0.99
-    )
-    knee_opening: Number = quantity(
-        0.5, "1", "assumed; opening there, of full; equal to knee_position: straight", 0.01, 0.99
-    )
-    edge_ratio: Number = quantity(
-        1.0, "1", "assumed; edges of chamber b over those of chamber a; 0.5 for 2 : 1", 0.05, 20.0
-    )
+    knee_position: Number = quantity(0.5, "1", "assumed; stroke after the dead band where the flow bends", 0.01, 0.99)
+    knee_opening: Number = quantity(0.5, "1", "assumed; opening there; equal to knee_position: straight", 0.01, 0.99)
+    edge_ratio: Number = quantity(1.0, "1", "assumed; edges of chamber b over those of a; 0.5 for 2 : 1", 0.05, 20.0)
     coil_resistance: Number = quantity(2.5, "Ω", "assumed", 1e-3, 1e5)
     coil_inductance: Number = quantity(2.5e-3, "H", "assumed; with the drive's current loop", 1e-6, 100.0)
     amplifier_gain: Number = quantity(0.625, "V/V", "assumed", 1e-6, 1e6)
