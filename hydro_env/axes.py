@@ -316,13 +316,11 @@ class Axes:
 
     def parameters(self, axis: int) -> PlantParameters:
         """The physical parameters of an axis in its present episode, leakage and faults included."""
-        vector = self.physical[axis].copy()
-        names = Coefficients._fields
+        vector, at = self.physical[axis].copy(), PARAMETER_PATHS.index
         for law in LEAK_LAWS.values():
-            coefficient = self.coefficient[axis, names.index(law.coefficient)]
-            vector[PARAMETER_PATHS.index(f"leakage.{law.parameter}")] = law.value_of_coefficient(coefficient)
+            coefficient = self.coefficient[axis, Coefficients._fields.index(law.coefficient)]
+            vector[at(f"leakage.{law.parameter}")] = law.value_of_coefficient(coefficient)
         faults = dict(zip(FAULTS, self.column("fault")[axis], strict=True))
-        at = PARAMETER_PATHS.index
         vector[at("valve.null_shift")] += faults["valve_null_shift"]
         vector[at("valve.underlap")] += faults["valve_underlap"]
         vector[at("valve.rated_flow")] *= 1.0 + faults["valve_flow"]

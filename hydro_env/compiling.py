@@ -39,17 +39,21 @@ Numba keys its cache on the kernel's own file and closure, and would miss a chan
 """
 
 
-class Inline:
-    """A function that is merged into the compiled functions that call it; loops over it can then vectorise.
-
-    Its first call from Python compiles it on its own. Numba would prepare every function for calls from Python, which
-    takes a third of the compile time, although few of these functions are ever called from Python.
-    """
+class _Function:
+    """What Python's own function tells about a compiled one."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.py_func = function
         self.__doc__ = function.__doc__
         self.__name__ = function.__name__
+
+
+class Inline(_Function):
+    """A function that is merged into the compiled functions that call it; loops over it can then vectorise.
+
+    Its first call from Python compiles it on its own. Numba would prepare every function for calls from Python, which
+    takes a third of the compile time, although few of these functions are ever called from Python.
+    """
 
     def __call__(self, *arguments: Any) -> Any:
         """Call it from Python."""
@@ -99,18 +103,14 @@ def numba() -> Any:
     return module
 
 
-class Kernel:
+class Kernel(_Function):
     """A compiled function with its machine code cached on disk.
 
     The first call loads or compiles it. A damaged cache entry is deleted. If nothing can be written (no folder, a full
     disk), the kernel is compiled for this process alone.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self.__doc__ = function.__doc__
-        self.__name__ = function.__name__
-        self.py_func = function
-        self._ready = False
+    _ready = False
 
     @cached_property
     def dispatcher(self) -> Any:

@@ -27,21 +27,26 @@ class StateInfo(NamedTuple):
     emphasis: float = 1.0  # weight of its error in the integrator, relative to its full scale
 
 
+# Speed and pressures swing about their mean by a third of their full scale.
+Speed = Annotated[float, StateInfo("m/s", 0.1, emphasis=3.0)]
+Pressure = Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
+LineFlow = Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
+
+
 class State(NamedTuple):
     """State of one axis, or its time derivative."""
 
     # Position 0 is mid-stroke; + extends.
     position: Annotated[float, StateInfo("m", 0.1)]
-    # Speed and pressures swing about their mean by a third of their full scale.
-    velocity: Annotated[float, StateInfo("m/s", 0.1, emphasis=3.0)]
-    pressure_a: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]  # bore side
-    pressure_b: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]  # rod side
+    velocity: Speed
+    pressure_a: Pressure  # bore side
+    pressure_b: Pressure  # rod side
     # At 1 the valve is fully open; + opens P to A.
     spool_position: Annotated[float, StateInfo("1", 1.0)]
     # Errors of spool speed and current decay within milliseconds.
     spool_velocity: Annotated[float, StateInfo("1/s", 10.0, emphasis=0.1)]
     coil_current: Annotated[float, StateInfo("A", 1.0, emphasis=0.1)]
-    supply_pressure: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
+    supply_pressure: Pressure
     gas_volume: Annotated[float, StateInfo("m³", 1e-3)]  # of the accumulator
     # Deflection of the seal before it slides; moves with LuGre friction only.
     bristle_deflection: Annotated[float, StateInfo("m", 1e-5)]
@@ -50,25 +55,25 @@ class State(NamedTuple):
 class LineState(NamedTuple):
     """States of lines with waves: pressure of each cell, and flow from it to the cylinder; cell 1 is at the valve."""
 
-    line_a_pressure_1: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
-    line_a_pressure_2: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
-    line_a_pressure_3: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
-    line_b_pressure_1: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
-    line_b_pressure_2: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
-    line_b_pressure_3: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
-    line_a_flow_1: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
-    line_a_flow_2: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
-    line_a_flow_3: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
-    line_b_flow_1: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
-    line_b_flow_2: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
-    line_b_flow_3: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
+    line_a_pressure_1: Pressure
+    line_a_pressure_2: Pressure
+    line_a_pressure_3: Pressure
+    line_b_pressure_1: Pressure
+    line_b_pressure_2: Pressure
+    line_b_pressure_3: Pressure
+    line_a_flow_1: LineFlow
+    line_a_flow_2: LineFlow
+    line_a_flow_3: LineFlow
+    line_b_flow_1: LineFlow
+    line_b_flow_2: LineFlow
+    line_b_flow_3: LineFlow
 
 
 class TipState(NamedTuple):
     """States of a second mass behind a spring, relative to where it rests on a piston at mid-stroke."""
 
     tip_position: Annotated[float, StateInfo("m", 0.1)]
-    tip_velocity: Annotated[float, StateInfo("m/s", 0.1, emphasis=3.0)]
+    tip_velocity: Speed
 
 
 class Structure(NamedTuple):

@@ -70,14 +70,18 @@ def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, A
         "rated_flow": from_unit(law.rated_flows[size], "l/min", 6),
         "mass": from_unit(mass, "kg", 3),
         "bandwidth": from_unit(between(*law.bandwidth), "Hz", 3),
-        "position_noise": from_unit(between(*law.position_noise) * stroke, "mm", 2),
-        "position_resolution": from_unit(between(*law.position_resolution) * stroke, "mm", 2),
-        "position_accuracy": from_unit(100 * between(*law.position_accuracy), "%", 2),
     }
     top = next((high for high in law.pressure_ranges if high > 1.2 * supply), law.pressure_ranges[-1])
     figures["pressure_range"] = from_unit(top, "bar", 6)
-    figures["pressure_noise"] = from_unit(between(*law.pressure_noise) * top, "bar", 2)
-    figures["pressure_accuracy"] = from_unit(100 * between(*law.pressure_accuracy), "%", 2)
+    in_parts = {
+        "position_noise": (stroke, "mm"),
+        "position_resolution": (stroke, "mm"),
+        "position_accuracy": (100, "%"),
+        "pressure_noise": (top, "bar"),
+        "pressure_accuracy": (100, "%"),
+    }
+    for name, (whole, unit) in in_parts.items():
+        figures[name] = from_unit(whole * between(*getattr(law, name)), unit, 2)
     if both_sides:
         figures["rod_a"] = figures["rod"]
     if often(law.overlap_share):

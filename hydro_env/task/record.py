@@ -14,41 +14,53 @@ from hydro_env.types import Array, Floats, Indices, Singles
 
 MOST_LATE = 5  # largest latency of a command in control periods
 
+
+def numbers(*names: str) -> list[tuple[str, str]]:
+    """Fields of a record that hold one number each."""
+    return [(name, "f8") for name in names]
+
+
 RECORD = np.dtype(
     [
-        ("step", "f8"),  # control periods since the start of the episode
-        ("command", "f8"),  # −1…1, last one given
-        ("change", "f8"),  # of the command since the previous period
-        ("rig", "f8"),  # number of the rig among those of the task
-        ("reference_family", "f8"),  # index into REFERENCE_FAMILIES
-        ("latency", "f8"),  # s, from sampling to the new command
-        ("redraws", "f8"),  # rejected draws of this episode
-        ("leak_flow", "f8"),  # l/min at 100 bar, now
-        ("leak_class", "f8"),  # index into LEAKAGE_CLASSES
-        ("leak_schedule", "f8"),  # index of the schedule
-        ("leak_start_flow", "f8"),
-        ("leak_target_flow", "f8"),
-        ("leak_start_time", "f8"),  # s
-        ("force_kind", "f8"),  # index of the disturbance's kind
-        ("force_amplitude", "f8"),  # N, of the disturbance
-        ("force_start_time", "f8"),  # s
-        ("force_frequency", "f8"),  # Hz
-        ("force_base", "f8"),  # N, of the plant itself and the steady part of the disturbance
+        *numbers(
+            "step",  # control periods since the start of the episode
+            "command",  # −1…1, last one given
+            "change",  # of the command since the previous period
+            "rig",  # number of the rig among those of the task
+            "reference_family",  # index into REFERENCE_FAMILIES
+            "latency",  # s, from sampling to the new command
+            "redraws",  # rejected draws of this episode
+            "leak_flow",  # l/min at 100 bar, now
+            "leak_class",  # index into LEAKAGE_CLASSES
+            "leak_schedule",  # index of the schedule
+            "leak_start_flow",
+            "leak_target_flow",
+            "leak_start_time",  # s
+            "force_kind",  # index of the disturbance's kind
+            "force_amplitude",  # N, of the disturbance
+            "force_start_time",  # s
+            "force_frequency",  # Hz
+            "force_base",  # N, of the plant itself and the steady part of the disturbance
+        ),
         ("bias", "f8", (len(CHANNELS),)),  # unit of each sensor
         ("measured", "f8", (len(CHANNELS),)),  # unit of each sensor
-        ("velocity_estimate", "f8"),  # m/s
-        ("error_integral", "f8"),  # m s
-        ("true_a", "f8"),  # Pa, at the last sample
-        ("true_b", "f8"),
-        ("sensed_a", "f8"),  # Pa, behind the transducer's lag, before noise
-        ("sensed_b", "f8"),
-        ("position", "f8"),  # m, true
-        ("velocity", "f8"),  # m/s, true
-        ("reference", "f8"),  # m, now
+        *numbers(
+            "velocity_estimate",  # m/s
+            "error_integral",  # m s
+            "true_a",  # Pa, at the last sample
+            "true_b",
+            "sensed_a",  # Pa, behind the transducer's lag, before noise
+            "sensed_b",
+            "position",  # m, true
+            "velocity",  # m/s, true
+            "reference",  # m, now
+        ),
         ("costs", "f8", (len(REWARD_TERMS),)),
-        ("reward", "f8"),
-        ("failure", "f8"),  # index into FAILURES
-        ("faulty", "f8"),  # 1 if the episode has a fault
+        *numbers(
+            "reward",
+            "failure",  # index into FAILURES
+            "faulty",  # 1 if the episode has a fault
+        ),
         ("noise_key", "u8"),
         ("drive", "f8"),  # −1…1, command that the valve's drive follows
         ("fault", "f8", (len(FAULTS),)),  # magnitude of each fault now

@@ -12,7 +12,7 @@ from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, SIGNED_KINDS, Faults, SensorFault
 from hydro_env.task.randomisation import own_value
-from hydro_env.task.record import table
+from hydro_env.task.record import numbers, table
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.sensors import CHANNELS, Sensor
 from hydro_env.types import Array
@@ -55,13 +55,10 @@ def choice(group: type[Group], field: str, value: str) -> int:
 
 FAULT_TABLE = np.dtype(
     [
-        ("probability", "f8"),
-        ("low", "f8"),
-        ("high", "f8"),
+        *numbers("probability", "low", "high"),
         ("signed", "i8"),
         ("schedule", "i8"),
-        ("start_low", "f8"),
-        ("start_high", "f8"),
+        *numbers("start_low", "start_high"),
         ("first", "i8"),  # indices of FAULTS: from the first of this kind to before the last
         ("last", "i8"),
         ("sensors", "f8"),  # number of sensors that may fail, 1 for other faults
@@ -85,8 +82,7 @@ _DERIVED = np.dtype(
         ("pressure_decay", "f8"),  # exp(−T/τ) of the transducers
         ("pressure_lag", "f8"),  # τ/T
         ("velocity_blend", "f8"),  # T/(T + τ)
-        ("integral_time", "f8"),
-        ("integral_limit", "f8"),
+        *numbers("integral_time", "integral_limit"),
     ]
 )
 SETTINGS = np.dtype(_TASK.descr + _DERIVED.descr)  # every number, choice and range of TaskConfig, and derived values

@@ -9,7 +9,7 @@ from hydro_agents.detection.balance import EXTERNAL, INTERNAL, OVERLAP, PARTS, S
 from hydro_agents.detection.balance_parts import factor, substitute
 from hydro_agents.detection.damaged_signals import repaired
 from hydro_agents.detection.sheet import Sheet, Unknowns
-from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_writer
+from hydro_env.compiling import SOURCES, compiled, inline, named_tuple, tuple_reader, tuple_writer
 from hydro_env.plant.equations import Coefficients
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Array, Singles
@@ -21,39 +21,43 @@ TOLD = OVERLAP  # number of unknowns that are features; the overlap, the last, o
 LAST_PARTS = 3  # number of last parts of the window whose own leak is a feature, for the size of a growing leak
 
 
-class Motion(NamedTuple):
-    """The features of the motion, each a plain number."""
-
-    small_internal_leak: float
-    small_external_leak: float
-    internal_leak_over_deviation: float
-    external_leak_over_deviation: float
-    mean_spool_error: float
-    spread_of_spool_error: float
-    spool_error_over_position: float
-    spool_error_against_direction: float
-    spool_error_at_rest: float
-    mean_pressure_a: float
-    mean_pressure_b: float
-    mean_pressure_difference: float
-    mean_size_of_pressure_difference: float
-    spread_of_pressure_a: float
-    spread_of_pressure_b: float
-    change_of_pressure_a: float
-    change_of_pressure_b: float
-    mean_spool: float
-    mean_size_of_spool: float
-    spread_of_spool: float
-    change_of_spool: float
-    change_of_command: float
-    share_of_full_command: float
-    mean_position: float
-    spread_of_position: float
-    change_of_position: float
-    spring: float
-    force_offset: float
-    friction: float
-    misfit_of_force: float
+Motion = named_tuple(
+    "Motion",
+    (
+        "small_internal_leak",
+        "small_external_leak",
+        "internal_leak_over_deviation",
+        "external_leak_over_deviation",
+        "mean_spool_error",
+        "spread_of_spool_error",
+        "spool_error_over_position",
+        "spool_error_against_direction",
+        "spool_error_at_rest",
+        "mean_pressure_a",
+        "mean_pressure_b",
+        "mean_pressure_difference",
+        "mean_size_of_pressure_difference",
+        "spread_of_pressure_a",
+        "spread_of_pressure_b",
+        "change_of_pressure_a",
+        "change_of_pressure_b",
+        "mean_spool",
+        "mean_size_of_spool",
+        "spread_of_spool",
+        "change_of_spool",
+        "change_of_command",
+        "share_of_full_command",
+        "mean_position",
+        "spread_of_position",
+        "change_of_position",
+        "spring",
+        "force_offset",
+        "friction",
+        "misfit_of_force",
+    ),
+    __name__,
+)
+"""The features of the motion, each a plain number."""
 
 
 FEATURES = (

@@ -115,7 +115,7 @@ class Rollout:
     reward: Singles  # (N, T)
     failed_at: Indices  # (N,), step of the failure, −1 for none
     position_bias: Floats  # (N,), m; the sensor reads the true position plus this
-    signals: NDArray[np.float16 | np.float32] | None  # (N, S, T), chosen columns of the observation
+    signals: Singles | None  # (N, S, T), chosen columns of the observation
     leakage_flow_lpm: Floats  # (N,), at the end
 
 
