@@ -4,8 +4,6 @@ A part whose table is missing is left out: single runs stand on the page of a st
 conditions on that of a protocol with several.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -35,8 +33,7 @@ from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_agents.running.statistics import RESAMPLES
 from hydro_agents.running.text import FAMILY_NAMES, capitalised, number, setting
 
-FEW_PLANTS = 12
-"""With fewer plants the intervals are rough; the page says so."""
+FEW_PLANTS = 12  # with fewer plants the intervals are rough; the page says so
 
 COSTS = tuple(metric for metric in METRICS.values() if metric.cost)
 """Metrics beside the errors: an error is no result without its cost."""

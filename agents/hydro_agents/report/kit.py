@@ -3,8 +3,6 @@
 Comes in: data frames, and figures of matplotlib. Goes out: a file. A page is built from the top down.
 """
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -47,8 +45,7 @@ COLOURS = {
 
 PAPER, INK, GREY, LINE, _, BLUE, ORANGE, GREEN, PURPLE, GOLD, VIOLET = (light for light, _ in COLOURS.values())
 
-NARROW, WIDE = 4.6, 8.6
-"""Widths of figures, inches: a telephone, and a page."""
+NARROW, WIDE = 4.6, 8.6  # widths of figures, inches: a telephone, and a page
 
 drawn = matplotlib.style.context(Path(__file__).with_name("figures.mplstyle"), after_reset=True)
 """Decorates a function that draws figures, whatever the user's own settings of matplotlib are."""

@@ -1,7 +1,5 @@
 """The page of the leakage protocol: detectors of leaks under every condition."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The hand calculations of an engineer for a rig."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import suppress

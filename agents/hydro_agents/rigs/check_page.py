@@ -1,7 +1,5 @@
 """The page of ``hydro check-rig``: the figures of a rig, and its position loop as Bode and step plots."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``hydro check-rig``: the figures of a rig on the console."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter

@@ -1,7 +1,5 @@
 """The file of a rig from its nameplates: the questions, the answers, and a text in which every value has its origin."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Rigs from a table of nameplates: a row per axis, a column per figure."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path
