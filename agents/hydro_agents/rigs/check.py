@@ -59,6 +59,9 @@ class RigFigure(NamedTuple):
         return self.value if isinstance(self.value, str) else f"{self.value:.{digits}g}"
 
 
+Row = tuple[Any, ...]  # the fields of a figure after its group
+
+
 def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig | None = None) -> list[RigFigure]:
     """All figures of a rig, in the units of practice.
 
@@ -81,15 +84,16 @@ def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig
     place = resting_place(parameters)
     task = task or TaskConfig(plant=parameters, randomisation=default_randomisation(parameters))
     loop = _loop(task, place)
-    return [
-        *_geometry(parameters),
-        *_valve(parameters),
-        *_speeds(parameters),
-        *_forces(parameters),
-        *_oscillation(parameters, place),
-        *loop,
-        *_resonances(task, place, [row.value for row in loop if row.key == "recommended gain"]),
-    ]
+    groups = {
+        "cylinder": _geometry(parameters),
+        "valve": _valve(parameters),
+        "speed": _speeds(parameters),
+        "force": _forces(parameters),
+        "oil column": _oscillation(parameters, place),
+        "position loop": loop,
+        "resonances": _resonances(task, place, [value for _, _, value, _, *key in loop if key == ["recommended gain"]]),
+    }
+    return [RigFigure(group, *row) for group, rows in groups.items() for row in rows]
 
 
 def resting_place(parameters: PlantParameters) -> float:
@@ -114,65 +118,60 @@ def resting_place(parameters: PlantParameters) -> float:
     return float(held[len(held) // 2])
 
 
-def _geometry(parameters: PlantParameters) -> list[RigFigure]:
+def _geometry(parameters: PlantParameters) -> list[Row]:
     c, half = plant_coefficients(parameters), 0.5 * parameters.cylinder.stroke
-    rows = [
-        RigFigure("cylinder", "area a (bore side)", "", c.area_a / SQUARE_CENTIMETRE, "cm²"),
-        RigFigure("cylinder", "area b (rod side)", "", c.area_b / SQUARE_CENTIMETRE, "cm²"),
-        RigFigure("cylinder", "area ratio a/b", "", c.area_a / c.area_b, "1"),
+    rows: list[Row] = [
+        ("area a (bore side)", "", c.area_a / SQUARE_CENTIMETRE, "cm²"),
+        ("area b (rod side)", "", c.area_b / SQUARE_CENTIMETRE, "cm²"),
+        ("area ratio a/b", "", c.area_a / c.area_b, "1"),
     ]
     for position in (-half, 0.0, half):
         for name, volume in zip("ab", chamber_volumes(parameters, position), strict=True):
             at = _position(position)
-            rows.append(RigFigure("cylinder", f"oil in chamber {name}", at, volume / CUBIC_CENTIMETRE, "cm³"))
+            rows.append((f"oil in chamber {name}", at, volume / CUBIC_CENTIMETRE, "cm³"))
     return rows
 
 
-def _valve(parameters: PlantParameters) -> list[RigFigure]:
+def _valve(parameters: PlantParameters) -> list[Row]:
     c, supply, valve = plant_coefficients(parameters), parameters.supply, parameters.valve
     spool_per_volt = c.drive_rate / c.coil_rate * c.spool_gain
     drop = supply.pressure - supply.tank_pressure
     rated = f"{valve.rated_pressure_drop / BAR:g} bar over both edges"
     flow = c.edge_gain * math.sqrt(0.5 * drop)
-    rows = [
-        RigFigure(
-            "valve", "gain K of one edge", "fully open", c.edge_gain / LITRE_PER_MINUTE * BAR**0.5, "l/(min √bar)"
-        ),
-        RigFigure("valve", "rated flow", rated, valve.rated_flow / LITRE_PER_MINUTE, "l/min"),
-        RigFigure("valve", "spool at 10 V", "full = 1", min(FULL_VOLTAGE * spool_per_volt, 1.0), "1"),
+    rows: list[Row] = [
+        ("gain K of one edge", "fully open", c.edge_gain / LITRE_PER_MINUTE * BAR**0.5, "l/(min √bar)"),
+        ("rated flow", rated, valve.rated_flow / LITRE_PER_MINUTE, "l/min"),
+        ("spool at 10 V", "full = 1", min(FULL_VOLTAGE * spool_per_volt, 1.0), "1"),
     ]
     if valve.overlap:
-        rows.append(RigFigure("valve", "dead band", "to each side", valve.overlap / spool_per_volt, "V", "dead band"))
-    rows.append(
-        RigFigure("valve", "no-load flow", f"{drop / BAR:g} bar over both edges", flow / LITRE_PER_MINUTE, "l/min")
-    )
+        rows.append(("dead band", "to each side", valve.overlap / spool_per_volt, "V", "dead band"))
+    rows.append(("no-load flow", f"{drop / BAR:g} bar over both edges", flow / LITRE_PER_MINUTE, "l/min"))
     return rows
 
 
-def _speeds(parameters: PlantParameters) -> list[RigFigure]:
+def _speeds(parameters: PlantParameters) -> list[Row]:
     c, supply, external = plant_coefficients(parameters), parameters.supply, parameters.load.external_force
     free, limits = speed_limits(parameters), force_limits(parameters)
     slow_out = speed_limits(parameters, external + limits.extending * 2 / 3).extending
     slow_in = speed_limits(parameters, external - limits.retracting * 2 / 3).retracting
-    rows, lasting = [], [RigFigure("speed", "flow of the pump", "", supply.pump_flow / LITRE_PER_MINUTE, "l/min")]
+    rows: list[Row] = []
+    lasting: list[Row] = [("flow of the pump", "", supply.pump_flow / LITRE_PER_MINUTE, "l/min")]
     for way, speed, slow, area in (
         ("out", free.extending, slow_out, c.area_a),
         ("in", free.retracting, slow_in, c.area_b),
     ):
         fed = min(speed, supply.pump_flow / area) / MILLIMETRE
         rows += [
-            RigFigure("speed", f"no-load speed {way}", "fully open", speed / MILLIMETRE, "mm/s", f"speed {way}"),
-            RigFigure("speed", f"speed {way}", "2/3 of force limit", slow / MILLIMETRE, "mm/s", f"loaded {way}"),
+            (f"no-load speed {way}", "fully open", speed / MILLIMETRE, "mm/s", f"speed {way}"),
+            (f"speed {way}", "2/3 of force limit", slow / MILLIMETRE, "mm/s", f"loaded {way}"),
         ]
-        lasting.append(
-            RigFigure("speed", f"lasting speed {way}", "fed by the pump alone", fed, "mm/s", f"lasting {way}")
-        )
+        lasting.append((f"lasting speed {way}", "fed by the pump alone", fed, "mm/s", f"lasting {way}"))
     if supply.model != "constant":
         rows += lasting
     return rows
 
 
-def _forces(parameters: PlantParameters) -> list[RigFigure]:
+def _forces(parameters: PlantParameters) -> list[Row]:
     limits, (low, high) = force_limits(parameters), reachable_range(parameters)
     stiffness = parameters.load.spring_stiffness
     against = "stroke"
@@ -180,92 +179,87 @@ def _forces(parameters: PlantParameters) -> list[RigFigure]:
         against = f"spring {stiffness / 1e3:g} N/mm"
     pressure = f"{parameters.supply.pressure / BAR:g} bar"
     return [
-        RigFigure("force", "force limit out", pressure, limits.extending / 1e3, "kN", "force out"),
-        RigFigure("force", "force limit in", pressure, limits.retracting / 1e3, "kN", "force in"),
-        RigFigure("force", "reach in", against, low / MILLIMETRE, "mm", "reach in"),
-        RigFigure("force", "reach out", against, high / MILLIMETRE, "mm", "reach out"),
+        ("force limit out", pressure, limits.extending / 1e3, "kN", "force out"),
+        ("force limit in", pressure, limits.retracting / 1e3, "kN", "force in"),
+        ("reach in", against, low / MILLIMETRE, "mm", "reach in"),
+        ("reach out", against, high / MILLIMETRE, "mm", "reach out"),
     ]
 
 
-def _oscillation(parameters: PlantParameters, place: float) -> list[RigFigure]:
-    group, half, softest = "oil column", 0.5 * parameters.cylinder.stroke, softest_position(parameters)
-    rows = []
+def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
+    half, softest = 0.5 * parameters.cylinder.stroke, softest_position(parameters)
+    rows: list[Row] = []
     for position in (-half, -0.5 * half, 0.0, 0.5 * half, half):
         frequency = closed_port_natural_frequency(parameters, position) / (2 * math.pi)
-        rows.append(RigFigure(group, "natural frequency, ports shut", _position(position), frequency, "Hz"))
+        rows.append(("natural frequency, ports shut", _position(position), frequency, "Hz"))
     lowest, at = closed_port_natural_frequency(parameters, softest), _position(softest)
-    rows.append(RigFigure(group, "lowest natural frequency", at, lowest / (2 * math.pi), "Hz", "lowest frequency"))
+    rows.append(("lowest natural frequency", at, lowest / (2 * math.pi), "Hz", "lowest frequency"))
     for position in dict.fromkeys((0.0, softest)):
         stiffness = closed_port_stiffness(parameters, position) * MILLIMETRE / 1e3
-        rows.append(RigFigure(group, "stiffness, ports shut", _position(position), stiffness, "kN/mm"))
+        rows.append(("stiffness, ports shut", _position(position), stiffness, "kN/mm"))
     for leak in EXAMINED_LEAKS:
         damping, at = _figure(_damping, leaking(parameters, leak), place), f"{_position(place)}, {leak_text(leak)}"
-        rows.append(RigFigure(group, "damping ratio, linearised", at, damping, "1", f"damping {leak_text(leak)}"))
+        rows.append(("damping ratio, linearised", at, damping, "1", f"damping {leak_text(leak)}"))
     return rows
 
 
-def _loop(task: TaskConfig, place: float) -> list[RigFigure]:
-    group, largest, friction = "position loop", "largest stable gain", "simulated with friction"
+def _loop(task: TaskConfig, place: float) -> list[Row]:
+    largest, friction = "largest stable gain", "simulated with friction"
     places = places_in_reach(task.plant)
     span = f"worst, {places[0] / MILLIMETRE:+.0f} to {places[-1] / MILLIMETRE:+.0f} mm"
     timed = f"{largest} ({1e3 * task.control_period:g} ms, {1e3 * task.command_latency:g} ms late)"
     plants = {
         f"{_position(place)}, {leak_text(leak)}": beyond_dead_band(leaking(task.plant, leak)) for leak in EXAMINED_LEAKS
     }
-    rows, healthy = [], None
+    rows: list[Row] = []
+    healthy = None
     for leak, (here, plant) in zip(EXAMINED_LEAKS, plants.items(), strict=True):
-        rows.append(RigFigure(group, timed, here, _figure(_largest_gain, plant, place, task), "1/m"))
+        rows.append((timed, here, _figure(_largest_gain, plant, place, task), "1/m"))
         over_reach, key = weakest(nominal_loops(task, leak)), ""
         if leak == HEALTHY_LEAK:
             healthy, key = over_reach, "gain over the reach"
-        rows.append(RigFigure(group, largest, f"{span}, {leak_text(leak)}", _gain(over_reach), "1/m", key))
+        rows.append((largest, f"{span}, {leak_text(leak)}", _gain(over_reach), "1/m", key))
     worst, within = weakest(loops_within_ranges(task)), f"worst of {DRAWN} plants in the ranges"
-    rows.append(
-        RigFigure(group, largest, f"{within}, {leak_text(HEALTHY_LEAK)}", _gain(worst), "1/m", "gain in the ranges")
-    )
+    rows.append((largest, f"{within}, {leak_text(HEALTHY_LEAK)}", _gain(worst), "1/m", "gain in the ranges"))
     try:
         quiet = quiet_gains(task)
     except HydroError:
         return rows
     recommended = quiet.recommended
-    rows.append(RigFigure(group, "recommended gain", friction, recommended, "1/m", "recommended gain"))
+    rows.append(("recommended gain", friction, recommended, "1/m", "recommended gain"))
     for which, gain, weak in (("own values", quiet.own, healthy), ("worst in the ranges", quiet.worst, worst)):
         at, margin = f"recommended gain, {which}", 20.0 * math.log10(gain / recommended)
-        rows.append(RigFigure(group, "largest quiet gain", f"{which}, {friction}", gain, "1/m", f"quiet, {which}"))
-        rows.append(RigFigure(group, "gain margin", f"{at}, {friction}", margin, "dB", f"gain margin, {which}"))
+        rows.append(("largest quiet gain", f"{which}, {friction}", gain, "1/m", f"quiet, {which}"))
+        rows.append(("gain margin", f"{at}, {friction}", margin, "dB", f"gain margin, {which}"))
         if weak is not None:
             phase = _figure(weak.loop.phase_margin, recommended)
-            rows.append(
-                RigFigure(group, "phase margin", f"{at}, without friction", phase, "°", f"phase margin, {which}")
-            )
+            rows.append(("phase margin", f"{at}, without friction", phase, "°", f"phase margin, {which}"))
     for here, plant in plants.items():
         stiffness = _figure(_static_stiffness, plant, place, recommended)
-        rows.append(RigFigure(group, "static stiffness", f"recommended gain, {here}", stiffness, "kN/mm"))
+        rows.append(("static stiffness", f"recommended gain, {here}", stiffness, "kN/mm"))
     return rows
 
 
-def _resonances(task: TaskConfig, place: float, gain: list[Any]) -> list[RigFigure]:
+def _resonances(task: TaskConfig, place: float, gain: list[Any]) -> list[Row]:
     """Oscillations of an axis with a second mass or with waves in its lines, alone and with the recommended gain.
 
     With the gain, each is followed from its eigenvalue exp(λ T) of the sampled loop without feedback. A damping below
     zero grows: the gain excites it, as far as dry friction does not stop it.
     """
     plant = beyond_dead_band(leaking(task.plant, HEALTHY_LEAK))
-    rows: list[RigFigure] = []
+    rows: list[Row] = []
     if not (plant.structure.tip or plant.structure.lines):
         return rows
     try:
         modes = linearise(plant.replace(friction={"model": "none"}), position=place).modes
         loop = sampled_loop(plant, place, task.control_period, task.command_latency)
     except HydroError:
-        return [RigFigure("resonances", "oscillations", _position(place), HELD_NOWHERE, "Hz")]
+        return [("oscillations", _position(place), HELD_NOWHERE, "Hz")]
     for number, mode in enumerate(modes, 1):
         what = f"oscillation {number}, {RESONATES.get(mode.state.split('_')[0], 'mass on its oil')}"
         frequency = mode.natural_frequency / (2.0 * math.pi)
-        rows.append(RigFigure("resonances", what, _position(place), frequency, "Hz", f"resonance {number}"))
-        rows.append(
-            RigFigure("resonances", "its damping ratio", what, mode.damping_ratio, "1", f"resonance {number} alone")
-        )
+        rows.append((what, _position(place), frequency, "Hz", f"resonance {number}"))
+        rows.append(("its damping ratio", what, mode.damping_ratio, "1", f"resonance {number} alone"))
         for recommended in gain:
             value = complex(np.exp(mode.eigenvalue * task.control_period))
             for part in np.linspace(0.0, recommended, 41):
@@ -273,7 +267,7 @@ def _resonances(task: TaskConfig, place: float, gain: list[Any]) -> list[RigFigu
                 value = complex(values[np.argmin(np.abs(values - value))])
             damping = -math.log(abs(value)) / (task.control_period * mode.natural_frequency)
             at, key = f"{what}, recommended gain", f"resonance {number} with gain"
-            rows.append(RigFigure("resonances", "its damping ratio", at, damping, "1", key))
+            rows.append(("its damping ratio", at, damping, "1", key))
     return rows
 
 
