@@ -39,54 +39,63 @@ class Question(NamedTuple):
         return self.name.replace("-", "_")
 
 
-QUESTIONS = (
-    Question("bore", "cylinder", "m", "63 mm", "Diameter of the bore.", required=True),
-    Question("rod", "cylinder", "m", "36 mm", "Diameter of the rod (chamber b).", required=True),
-    Question("rod-a", "cylinder", "m", "36 mm", "Diameter of the rod through chamber a, of a double-rod cylinder."),
-    Question("stroke", "cylinder", "m", "500 mm", "Stroke.", required=True),
-    Question("dead-volume", "cylinder", "m³", "100 cm3", "Oil beyond the stroke, each side: ports, end position."),
-    Question("piston-mass", "cylinder", "kg", "8 kg", "Mass of piston and rod."),
-    Question("rated-flow", "valve", "m³/s", "40 l/min", "Rated flow of the valve.", required=True),
-    Question("rated-drop", "valve", "Pa", "70 bar", "Pressure drop at the rated flow, over both edges: 2 x 35 bar."),
-    Question("bandwidth", "valve", "rad/s", "60 Hz", "Frequency at which the spool lags by 90 degrees, small signals."),
-    Question("step-time", "valve", "s", "12 ms", "Time of a step of the spool from 0 to 100 %."),
-    Question("full-signal", "valve", SIGNAL, "10 V", "Input for full opening: a voltage, or a current of the coil."),
-    Question("null-flow", "valve", "m³/s", "0.5 l/min", "Leakage flow of the valve at null, at the supply pressure."),
-    Question("overlap", "valve", "1", "10 %", "Dead band to each side of null, of full stroke; 0 % if compensated."),
-    Question(
-        "flow-curve", "valve", "", "20%:4%, 50%:30%, 100%:100%", "Catalogue's flow curve: points SIGNAL:FLOW, of full."
+_ASKED: dict[str, tuple[tuple[Any, ...], ...]] = {
+    "cylinder": (
+        ("bore", "m", "63 mm", "Diameter of the bore.", True),
+        ("rod", "m", "36 mm", "Diameter of the rod (chamber b).", True),
+        ("rod-a", "m", "36 mm", "Diameter of the rod through chamber a, of a double-rod cylinder."),
+        ("stroke", "m", "500 mm", "Stroke.", True),
+        ("dead-volume", "m³", "100 cm3", "Oil beyond the stroke, each side: ports, end position."),
+        ("piston-mass", "kg", "8 kg", "Mass of piston and rod."),
     ),
-    Question("edges", "valve", "", "sharp", "Metering edges: rounded (worn), or sharp as in the textbook."),
-    Question("spool-ratio", "valve", "1", "0.5", "Edges of chamber b over those of chamber a; 0.5 for a 2:1 spool."),
-    Question("supply-pressure", "supply", "Pa", "160 bar", "Supply pressure at the valve.", required=True),
-    Question("tank-pressure", "supply", "Pa", "2 bar", "Pressure in the return line at the valve."),
-    Question("pump-flow", "supply", "m³/s", "30 l/min", "Flow of the pump; without it the supply counts as constant."),
-    Question("accumulator", "supply", "m³", "4 l", "Volume of the accumulator; needs pump-flow."),
-    Question("precharge", "supply", "Pa", "130 bar", "Gas pressure of the empty accumulator."),
-    Question("mass", "load", "kg", "200 kg", "Moved mass without piston and rod.", required=True),
-    Question("external-force", "load", "N", "2 kN", "Constant force on the rod, positive against extension (weight)."),
-    Question("spring", "load", "N/m", "50 N/mm", "Stiffness of a spring with its rest at mid-stroke."),
-    Question(
-        "structure-frequency", "load", "rad/s", "6 Hz", "Lowest natural frequency of boom or frame, if you know it."
+    "valve": (
+        ("rated-flow", "m³/s", "40 l/min", "Rated flow of the valve.", True),
+        ("rated-drop", "Pa", "70 bar", "Pressure drop at the rated flow, over both edges: 2 x 35 bar."),
+        ("bandwidth", "rad/s", "60 Hz", "Frequency at which the spool lags by 90 degrees, small signals."),
+        ("step-time", "s", "12 ms", "Time of a step of the spool from 0 to 100 %."),
+        ("full-signal", SIGNAL, "10 V", "Input for full opening: a voltage, or a current of the coil."),
+        ("null-flow", "m³/s", "0.5 l/min", "Leakage flow of the valve at null, at the supply pressure."),
+        ("overlap", "1", "10 %", "Dead band to each side of null, of full stroke; 0 % if compensated."),
+        ("flow-curve", "", "20%:4%, 50%:30%, 100%:100%", "Catalogue's flow curve: points SIGNAL:FLOW, of full."),
+        ("edges", "", "sharp", "Metering edges: rounded (worn), or sharp as in the textbook."),
+        ("spool-ratio", "1", "0.5", "Edges of chamber b over those of chamber a; 0.5 for a 2:1 spool."),
     ),
-    Question("structure-share", "load", "1", "50 %", "Share of the mass that swings with it."),
-    Question("structure-damping", "load", "1", "0.02", "Damping ratio of this swing."),
-    Question("line-length", "lines", "m", "1.5 m", "Length of each line between valve and cylinder."),
-    Question("line-diameter", "lines", "m", "12 mm", "Inner diameter of these lines."),
-    Question("line-kind", "lines", "", "hose", "Kind of these lines: pipe or hose."),
-    Question(
-        "line-waves", "lines", "", "yes", "Simulate waves in them: yes from some 2 m on, or with sensors at the valve."
+    "supply": (
+        ("supply-pressure", "Pa", "160 bar", "Supply pressure at the valve.", True),
+        ("tank-pressure", "Pa", "2 bar", "Pressure in the return line at the valve."),
+        ("pump-flow", "m³/s", "30 l/min", "Flow of the pump; without it the supply counts as constant."),
+        ("accumulator", "m³", "4 l", "Volume of the accumulator; needs pump-flow."),
+        ("precharge", "Pa", "130 bar", "Gas pressure of the empty accumulator."),
     ),
-    Question("position-noise", "sensors", "m", "0.02 mm", "Noise of the position sensor (standard deviation)."),
-    Question("position-accuracy", "sensors", "1", "0.02 %", "Accuracy of the position sensor, of the stroke."),
-    Question("position-resolution", "sensors", "m", "5 um", "Smallest step of the position reading."),
-    Question("pressure-range", "sensors", "Pa", "250 bar", "Upper end of the range of the pressure sensors."),
-    Question("pressure-noise", "sensors", "Pa", "0.2 bar", "Noise of the pressure sensors (standard deviation)."),
-    Question("pressure-accuracy", "sensors", "1", "0.5 %", "Accuracy class of the pressure sensors, of their range."),
-    Question("pressure-resolution", "sensors", "Pa", "0.01 bar", "Smallest step of the pressure readings."),
-    Question("pressure-sensors", "sensors", "", "valve", "Where the pressure sensors sit: cylinder or valve."),
-    Question("absent", "sensors", "", "spool_position", f"Sensors that the rig lacks: {', '.join(SENSORS[1:])}."),
-)
+    "load": (
+        ("mass", "kg", "200 kg", "Moved mass without piston and rod.", True),
+        ("external-force", "N", "2 kN", "Constant force on the rod, positive against extension (weight)."),
+        ("spring", "N/m", "50 N/mm", "Stiffness of a spring with its rest at mid-stroke."),
+        ("structure-frequency", "rad/s", "6 Hz", "Lowest natural frequency of boom or frame, if you know it."),
+        ("structure-share", "1", "50 %", "Share of the mass that swings with it."),
+        ("structure-damping", "1", "0.02", "Damping ratio of this swing."),
+    ),
+    "lines": (
+        ("line-length", "m", "1.5 m", "Length of each line between valve and cylinder."),
+        ("line-diameter", "m", "12 mm", "Inner diameter of these lines."),
+        ("line-kind", "", "hose", "Kind of these lines: pipe or hose."),
+        ("line-waves", "", "yes", "Simulate waves in them: yes from some 2 m on, or with sensors at the valve."),
+    ),
+    "sensors": (
+        ("position-noise", "m", "0.02 mm", "Noise of the position sensor (standard deviation)."),
+        ("position-accuracy", "1", "0.02 %", "Accuracy of the position sensor, of the stroke."),
+        ("position-resolution", "m", "5 um", "Smallest step of the position reading."),
+        ("pressure-range", "Pa", "250 bar", "Upper end of the range of the pressure sensors."),
+        ("pressure-noise", "Pa", "0.2 bar", "Noise of the pressure sensors (standard deviation)."),
+        ("pressure-accuracy", "1", "0.5 %", "Accuracy class of the pressure sensors, of their range."),
+        ("pressure-resolution", "Pa", "0.01 bar", "Smallest step of the pressure readings."),
+        ("pressure-sensors", "", "valve", "Where the pressure sensors sit: cylinder or valve."),
+        ("absent", "", "spool_position", f"Sensors that the rig lacks: {', '.join(SENSORS[1:])}."),
+    ),
+}
+"""By heading: name, unit, example, what it is; ``True``: it must be given."""
+
+QUESTIONS = tuple(Question(name, group, *rest) for group, rows in _ASKED.items() for name, *rest in rows)
 
 
 def parsed(question: Question, text: str) -> float | str:
