@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict
 
 from hydro_env.compiling import named_tuple
 from hydro_env.errors import ConfigurationError
@@ -49,14 +49,14 @@ class PlantParameters(Group):
 
     model_config = ConfigDict(title="plant parameters")
 
-    cylinder: Cylinder = Field(default_factory=Cylinder)
-    valve: Valve = Field(default_factory=Valve)
-    lines: Lines = Field(default_factory=Lines)
-    fluid: Fluid = Field(default_factory=Fluid)
-    load: Load = Field(default_factory=Load)
-    friction: Friction = Field(default_factory=Friction)
-    supply: Supply = Field(default_factory=Supply)
-    leakage: Leakage = Field(default_factory=Leakage)
+    cylinder: Cylinder = Cylinder()
+    valve: Valve = Valve()
+    lines: Lines = Lines()
+    fluid: Fluid = Fluid()
+    load: Load = Load()
+    friction: Friction = Friction()
+    supply: Supply = Supply()
+    leakage: Leakage = Leakage()
 
     @property
     def structure(self) -> Structure:

@@ -173,14 +173,14 @@ class TaskConfig(TaskGroup):
     episode_duration: Number = quantity(2.0, "s", "then the episode is truncated", 0.01, 3600.0)
     tolerance: Number = quantity(1e-6, "1", "largest error of an inner step, relative to a state's size", 1e-12, 1e-2)
     maximum_step: Number = quantity(2e-3, "s", "longest inner step of the integration", 1e-6, 20e-3)
-    plant: PlantParameters = Field(default_factory=PlantParameters, description="the nominal one")
+    plant: PlantParameters = Field(PlantParameters(), description="the nominal one")
     law: RigLaw | None = Field(None, description="each episode draws its rig from it; none: the plant above")
     randomisation: Randomisation = Field(
         default_factory=default_randomisation,
         description="files and keywords change single distributions; null: not drawn; an empty group: nothing is",
     )
-    leakage: LeakageDraw = Field(default_factory=LeakageDraw)
-    references: References = Field(default_factory=References)
+    leakage: LeakageDraw = LeakageDraw()
+    references: References = References()
     initial_position_range: Range = interval(
         (-1.0, 1.0), "1", "start, as a share of the range of references on either side of mid-stroke", -1.0, 1.0
     )
@@ -189,11 +189,11 @@ class TaskConfig(TaskGroup):
         description="position that is on the reference when an episode begins: the one that the biased sensor "
         "measures, where a controller would hold the axis; or the true one, so that the first readings reveal the bias",
     )
-    sensors: Sensors = Field(default_factory=Sensors)
-    reward: Reward = Field(default_factory=Reward)
-    failure: Failure = Field(default_factory=Failure)
-    disturbance: Disturbance = Field(default_factory=Disturbance)
-    faults: Faults = Field(default_factory=Faults)
+    sensors: Sensors = Sensors()
+    reward: Reward = Reward()
+    failure: Failure = Failure()
+    disturbance: Disturbance = Disturbance()
+    faults: Faults = Faults()
 
     @field_validator("randomisation", mode="before")
     @classmethod

@@ -100,16 +100,16 @@ class SensorDropout(SensorFault):
 class Faults(Group):
     """The possible faults of an episode; none by default. Each is drawn independently: several may occur together."""
 
-    valve_null_shift: ValveNullShift = Field(default_factory=ValveNullShift)
-    valve_underlap: ValveUnderlap = Field(default_factory=ValveUnderlap)
-    valve_flow: ValveFlow = Field(default_factory=ValveFlow)
-    valve_hysteresis: ValveHysteresis = Field(default_factory=ValveHysteresis)
-    tank_pressure: TankPressure = Field(default_factory=TankPressure)
-    external_leak: ExternalLeak = Field(default_factory=ExternalLeak)
-    sensor_offset: SensorOffset = Field(default_factory=SensorOffset)
-    sensor_gain: SensorGain = Field(default_factory=SensorGain)
-    sensor_freeze: SensorFreeze = Field(default_factory=SensorFreeze)
-    sensor_dropout: SensorDropout = Field(default_factory=SensorDropout)
+    valve_null_shift: ValveNullShift = ValveNullShift()
+    valve_underlap: ValveUnderlap = ValveUnderlap()
+    valve_flow: ValveFlow = ValveFlow()
+    valve_hysteresis: ValveHysteresis = ValveHysteresis()
+    tank_pressure: TankPressure = TankPressure()
+    external_leak: ExternalLeak = ExternalLeak()
+    sensor_offset: SensorOffset = SensorOffset()
+    sensor_gain: SensorGain = SensorGain()
+    sensor_freeze: SensorFreeze = SensorFreeze()
+    sensor_dropout: SensorDropout = SensorDropout()
 
 
 FAULT_KINDS: tuple[str, ...] = tuple(Faults.model_fields)  # names of the kinds

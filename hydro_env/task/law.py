@@ -85,7 +85,7 @@ class RigLaw(TaskGroup):
     weight_share: Number = _share(0.2, "a load that hangs on the rod")
     line_share: Number = _share(0.3, "lines between valve and cylinder, half of them hoses")
     line_length: Range = interval((0.5, 3.0), "m", "of each", 0.01, 100.0)
-    structure: StructureLaw = Field(default_factory=StructureLaw)
+    structure: StructureLaw = StructureLaw()
     no_spool_sensor_share: Number = _share(0.3, "no spool sensor")
     periods: dict[float, Number] = Field(
         {1.0: 0.1, 2.0: 0.2, 4.0: 0.2, 5.0: 0.2, 8.0: 0.15, 10.0: 0.15},

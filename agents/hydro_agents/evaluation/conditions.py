@@ -95,7 +95,7 @@ class Protocol(Group, Generic[AnyCondition]):
 
     kind: str
     title: str
-    task: TaskConfig = Field(default_factory=TaskConfig)
+    task: TaskConfig = TaskConfig()
     conditions: dict[Name, AnyCondition] = Field(min_length=1)
 
     def cells(self, chosen: Any) -> Iterator[Cell]:

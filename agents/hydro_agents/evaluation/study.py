@@ -94,12 +94,12 @@ class StudySettings(Group):
 
     seed: int = Field(0, ge=0, le=2**32 - 1, description="seed of all random numbers; --seed overrides it")
     title: str = "Controllers of a servo axis that leaks"
-    task: TaskConfig = Field(default_factory=TaskConfig)
+    task: TaskConfig = TaskConfig()
     controllers: dict[Name, ControllerEntry] = Field(min_length=1, description="by name; the first is the baseline")
     leakage_head: HeadTrainingSettings = Field(
         default_factory=HeadTrainingSettings, description="for hydro train head, with task and controllers of the study"
     )
-    evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
+    evaluation: ProtocolSettings = ProtocolSettings()
 
     @model_validator(mode="after")
     def _corrections(self) -> StudySettings:
