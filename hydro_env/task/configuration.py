@@ -106,7 +106,7 @@ class Reward(Group):
     tracking: Number = quantity(1.0, "1", "weight of the error", 0.0, 1e6)
     error_scale: Number = quantity(0.010, "m", "error that costs 1", 1e-6, 10.0)
     family_scale: dict[Family, Annotated[Number, Field(gt=0.0, le=1e6)]] = Field(
-        default_factory=dict, description="factor on error_scale for a family of references; absent families: 1"
+        {}, description="factor on error_scale for a family of references; absent families: 1"
     )
     frame: Literal["axis", "sensor"] = Field(
         "axis", description="position for the error: that of the axis, or that of the biased sensor without its noise"

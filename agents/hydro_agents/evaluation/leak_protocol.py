@@ -47,7 +47,7 @@ class LeakCondition(Condition):
     share: float = Field(1.0, gt=0.0, le=10.0, description="windows per level, relative to the detector's number")
     detectors: tuple[str, ...] | None = Field(None, description="detectors that read it; default: all")
     faults: dict[Annotated[str, known_name(FAULTS, "fault")], Number] = Field(
-        default_factory=dict, description="magnitude of each fault, by name"
+        {}, description="magnitude of each fault, by name"
     )
 
     @model_validator(mode="after")

@@ -52,8 +52,7 @@ class PairedCondition(Condition):
     families: Families | None = Field(None, description="default: those of the protocol")
     plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
     controllers: dict[str, str | dict[str, Any]] = Field(
-        default_factory=dict,
-        description="by name; controllers for this condition: as in --agent, or the path of a file of gains",
+        {}, description="by name; controllers for this condition: as in --agent, or the path of a file of gains"
     )
 
 

@@ -47,9 +47,7 @@ class ControllerEntry(Group):
 
     kind: str = Field(description="pid, ppo, or module:attribute for your own controller or trainer")
     settings: SerializeAsAny[Any] = Field(
-        default_factory=dict,
-        validate_default=True,
-        description="settings of the controller or its training; or the path of a YAML file",
+        {}, validate_default=True, description="settings of the controller or its training; or the path of a YAML file"
     )
     corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
     tune: TuningSettings | None = Field(

@@ -34,9 +34,7 @@ class PPOSettings(Group):
         "the true position; sensor: of the position with its sensor's bias",
     )
     reversal_price: float = Field(0.0, ge=0.0, le=1e6, description="on the smaller swing at a reversal, per 10 V")
-    practice: dict[str, Any] = Field(
-        default_factory=dict, description="fields of the task with other values in training, such as the share of leaks"
-    )
+    practice: dict[str, Any] = Field({}, description="fields of the task with other values in training")
     law: RigLaw | None = Field(None, description="rigs of the training, for any axis; none: the task's own")
     start: str | None = Field(None, description="path of weights of the same inputs and layers to begin with")
     teacher: str | None = Field(None, description="shipped controller that a policy without residual imitates first")

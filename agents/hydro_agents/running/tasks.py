@@ -81,9 +81,9 @@ def timed_task(
 class Surroundings(Group):
     """Changes of an axis under a condition of a protocol: task, plants and sensors, or another rig."""
 
-    task: dict[str, Any] = Field(default_factory=dict, description="changed fields of the task, as in YAML")
-    parameters: dict[str, Number | str] = Field(default_factory=dict, description="of every plant, SI units, by path")
-    factors: dict[str, Factor] = Field(default_factory=dict, description="parameters relative to the nominal rig's")
+    task: dict[str, Any] = Field({}, description="changed fields of the task, as in YAML")
+    parameters: dict[str, Number | str] = Field({}, description="of every plant, SI units, by path")
+    factors: dict[str, Factor] = Field({}, description="parameters relative to the nominal rig's")
     noise_factor: Factor = Field(1.0, description="on the noise of every sensor")
     bias_factor: Factor = Field(1.0, description="on the largest bias of every sensor")
     rig: str | None = Field(None, description="another rig: a name in configs/rigs, or a path")
