@@ -136,8 +136,12 @@ def functions_of(structure: Structure) -> AxisFunctions:
             _write_derived(out[sample], derived_quantities(read(states[sample]), c, parts))
         return out
 
-    functions = derivative_array, command_changed_array, hold_limits_array, derived_array
-    return AxisFunctions(*map(compiled, functions))
+    return AxisFunctions(
+        compiled(derivative_array),
+        compiled(command_changed_array),
+        compiled(hold_limits_array),
+        compiled(derived_array),
+    )
 
 
 derivative_array = functions_of(RIGID).derivative  # (state, coefficients, voltage) of an axis without optional parts
