@@ -28,7 +28,7 @@ from hydro_env.task.rig import read_rig
 from hydro_env.task.sensors import POSITION, PRESSURE_A
 from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.diagnosis.verdict import Kind, Limits, Verdict
-from hydro_rig.estimation.progress import told_to
+from hydro_rig.estimation.solver import told_to
 from hydro_rig.identification.found_rig import shown
 from hydro_rig.identification.held_back import HeldBack
 from hydro_rig.identification.identify import Identification, identify

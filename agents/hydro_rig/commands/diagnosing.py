@@ -64,12 +64,11 @@ def diagnose(
     from hydro_rig.diagnosis.diagnosis_page import FILES, JOB, diagnose_to_folder
     from hydro_rig.diagnosis.oil import Oil
     from hydro_rig.diagnosis.verdict import EXIT_CODES
-    from hydro_rig.estimation.progress import shown
+    from hydro_rig.estimation.solver import shown
     from hydro_rig.recordings.columns import read_map
 
     refuse_taken(output, JOB, FILES, overwrite)
-    config = task_config(task, rig=rig)
-    mapped = read_map(columns) if columns is not None else None
+    config, mapped = task_config(task, rig=rig), read_map(columns)
     filling, change = Oil.of(oil or "46"), None
     with shown(as_json):
         diagnosis = diagnose_recording(recording, config, mapped, window, windows)
@@ -150,7 +149,7 @@ def trend(
     2 wrong input.
     """
     from hydro_agents.running.machine import Origin
-    from hydro_rig.estimation.progress import shown
+    from hydro_rig.estimation.solver import shown
     from hydro_rig.watching.page import trend_page
     from hydro_rig.watching.watch import watch
 
@@ -181,7 +180,6 @@ def _fleet(file: Path | None, **settings: Any) -> Fleet:
 
 
 def _tell_rig(*given: object) -> None:
-    """Says so if no option names a rig."""
     if given == (None, None, None):
         print("hydro: every axis is taken for the paper's rig; --rig or --fleet names others", file=sys.stderr)
 
@@ -220,25 +218,24 @@ def leak_test(
     from hydro_rig.diagnosis import leak_test_page as pages
     from hydro_rig.diagnosis.leak_test import plan, read_leak_test
     from hydro_rig.diagnosis.verdict import EXIT_CODES
-    from hydro_rig.estimation.progress import shown
+    from hydro_rig.estimation.solver import shown
     from hydro_rig.recordings.columns import read_map
     from hydro_rig.recordings.findings import lines_of
 
     config = task_config(task, rig=rig)
+    files, usual = (pages.PLAN_FILES, "leak_test_plan") if recording is None else (pages.READING_FILES, "leak_test")
+    folder = output or Path("results") / usual
+    refuse_taken(folder, pages.JOB, files, overwrite)
     if recording is None:
-        folder = output or Path("results/leak_test_plan")
-        refuse_taken(folder, pages.JOB, pages.PLAN_FILES, overwrite)
         planned = plan(config, duration, speed and 1e-3 * speed, stop)
-        with output_folder(folder, pages.JOB, pages.PLAN_FILES, overwrite=overwrite):
+        with output_folder(folder, pages.JOB, files, overwrite=overwrite):
             pages.write_plan(folder, planned, command_line())
-        say(*(folder / name for name in pages.PLAN_FILES), planned.line())
+        say(*(folder / name for name in files), planned.line())
         return
-    folder = output or Path("results/leak_test")
-    refuse_taken(folder, pages.JOB, pages.READING_FILES, overwrite)
-    mapped = read_map(columns) if columns is not None else None
+    mapped = read_map(columns)
     with shown():
         found, quantities = read_leak_test(recording, config, mapped)
-    with output_folder(folder, pages.JOB, pages.READING_FILES, overwrite=overwrite):
+    with output_folder(folder, pages.JOB, files, overwrite=overwrite):
         pages.write_reading(folder, found, quantities, command_line())
-    say(*lines_of(found.checked.findings), folder / pages.READING_FILES[0], found.verdict.line())
+    say(*lines_of(found.checked.findings), folder / files[0], found.verdict.line())
     raise typer.Exit(EXIT_CODES[found.verdict.kind])

@@ -31,8 +31,7 @@ def record(
     fault: Faults = None,
     duration: Annotated[float, typer.Option(help="Length in s.")] = 20.0,
     family: Annotated[
-        str | None,
-        typer.Option(help="Kind of reference, such as sine, step or point_to_point; default: drawn."),
+        str | None, typer.Option(help="Kind of reference, such as sine, step or point_to_point; default: drawn.")
     ] = None,
     seed: PlantSeed = 0,
     overwrite: OverwriteFile = False,
@@ -78,8 +77,7 @@ def identify(
     recordings: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RECORDING...",
-            help="Measured signals of one axis, one file or several: CSV, Parquet, MAT.",
+            metavar="RECORDING...", help="Measured signals of one axis, one file or several: CSV, Parquet, MAT."
         ),
     ],
     rig: Annotated[
@@ -121,7 +119,7 @@ def identify(
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
     from hydro_env.task.rig import read_rig
-    from hydro_rig.estimation.progress import shown
+    from hydro_rig.estimation.solver import shown
     from hydro_rig.identification.identification_page import FILES, JOB, identify_to_folder
     from hydro_rig.identification.identify import identify as identify_recordings
     from hydro_rig.recordings.columns import maps_of

@@ -23,8 +23,8 @@ from hydro_rig.diagnosis.oil import Oil, referred, temperature_of
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Case, Leak, Limits, Verdict, by_volume, judge
 from hydro_rig.diagnosis.volume_balance import volume_leak
 from hydro_rig.estimation.estimator import EstimatorDetector
-from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.result import Estimate, join
+from hydro_rig.estimation.solver import tell
 from hydro_rig.identification.data_sheet import contradictions, worst_signal
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import Finding, Weight, lines_of
@@ -206,13 +206,6 @@ def in_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "windows": len(diagnosis.windows),
         "findings": lines_of(diagnosis.checked.findings),
     }
-
-
-def findings_table(findings: list[Finding]) -> str:
-    """The findings as CSV."""
-    table = pd.DataFrame(findings, columns=Finding._fields)
-    text: str = table.to_csv(index=False, lineterminator="\n", float_format="%.6g")
-    return text
 
 
 class Change(NamedTuple):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.report.kit import GREEN, ORANGE, PAPER, Page, drawn, signal, time_panels
@@ -14,11 +15,11 @@ from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised
 from hydro_env.files import write_text
 from hydro_env.types import Floats
-from hydro_rig.diagnosis.diagnose import Diagnosis, findings_table, leak_table
+from hydro_rig.diagnosis.diagnose import Diagnosis, leak_table
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.identification.identification_page import findings_frame, rig_line
 from hydro_rig.recordings.columns import MEASURED
-from hydro_rig.recordings.findings import lines_of
+from hydro_rig.recordings.findings import Finding, lines_of
 
 PAGE_FILE, TABLE_FILE, FINDINGS_FILE = FILES = ("diagnosis.html", "leak.csv", "findings.csv")
 JOB = "diagnose"
@@ -53,7 +54,8 @@ def diagnose_to_folder(
     """Write page, table and findings; returns the lines for the user, the verdict last; ``change``: a sentence."""
     with output_folder(folder, JOB, FILES, overwrite=overwrite):
         write_text(folder / TABLE_FILE, leak_table(diagnosis).to_csv(index=False, lineterminator="\n"))
-        write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
+        findings = pd.DataFrame(diagnosis.checked.findings, columns=Finding._fields)
+        write_text(folder / FINDINGS_FILE, findings.to_csv(index=False, lineterminator="\n", float_format="%.6g"))
         diagnosis_page(diagnosis, line=change).write(folder / PAGE_FILE, Origin.now(command))
     lines = lines_of(diagnosis.checked.findings)
     return [*lines, str(folder / PAGE_FILE), *filter(None, [change]), diagnosis.verdict.line()]

@@ -33,13 +33,13 @@ from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats, Mask
 from hydro_rig.diagnosis.diagnose import Diagnosis, Read, diagnosed
+from hydro_rig.estimation.estimate import SURE
 from hydro_rig.estimation.estimator import WEAR, healthy_range
 from hydro_rig.estimation.known_windows import KnownWindows, known_windows, leak_cases
 from hydro_rig.estimation.known_windows import bound as smallest_deviation
-from hydro_rig.estimation.search import SURE
 from hydro_rig.estimation.unknowns import LEAKAGE, Prior, priors_of
 from hydro_rig.identification.common_fit import WELL_FITTED, Common, common_fit
-from hydro_rig.identification.fit import COVERAGE, spread_of, unknowns_of
+from hydro_rig.identification.fit import COVERAGE, measured_in, spread_of, unknowns_of
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.sampling import Sampled, cut
@@ -262,9 +262,8 @@ def read_leak_test(path: Path, config: TaskConfig, columns: ColumnMap | None = N
     def read(windows: Windows, config: TaskConfig) -> Read:
         if len(windows) < 2:
             return Read(Reading.of(np.full(len(windows), np.nan), why=Why.FEW_WINDOWS))
-        measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
         task = worn_task(config)
-        common = common_fit(windows, task, priors_of_test(task, measured))
+        common = common_fit(windows, task, priors_of_test(task, measured_in(windows)))
         found.update(quantities(common))
         return Read(_reading(common, found, config))
 

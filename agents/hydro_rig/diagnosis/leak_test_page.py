@@ -35,17 +35,13 @@ RUNNING = (
 
 def write_plan(folder: Path, plan: Plan, command: str) -> None:
     """Write the page, the commands, and a simulated recording."""
-    write_text(folder / "commands.csv", commands_table(plan).to_csv(index=False, float_format="%.6g"))
-    time = plan.task.control_period * np.arange(plan.signals.shape[2], dtype=np.float64)
+    openings, period = plan.commands, plan.task.control_period
+    columns = {"time [s]": np.round(period * np.arange(len(openings)), 6), "opening [1]": openings}
+    table = pd.DataFrame(columns | {"voltage [V]": FULL_VOLTAGE * openings})
+    write_text(folder / "commands.csv", table.to_csv(index=False, float_format="%.6g"))
+    time = period * np.arange(plan.signals.shape[2], dtype=np.float64)
     write_text(folder / "simulated.csv", recording_csv(time, plan.signals[0], f"{command}: leak {SIMULATED_LEAK:g}"))
     plan_page(plan).write(folder / "plan.html", Origin.now(command))
-
-
-def commands_table(plan: Plan) -> pd.DataFrame:
-    """The openings, one row per control period, and the voltages of the valve."""
-    openings = plan.commands
-    time = np.round(plan.task.control_period * np.arange(len(openings)), 6)
-    return pd.DataFrame({"time [s]": time, "opening [1]": openings, "voltage [V]": FULL_VOLTAGE * openings})
 
 
 @drawn
@@ -55,10 +51,9 @@ def plan_page(plan: Plan) -> Page:
     page.verdict(capitalised(plan.line()) + ".")
     page.text(CAUTION, "caution")
     page.points(RUNNING)
-    steps = pd.DataFrame(plan.steps)
-    begin = (steps["seconds"].cumsum() - steps["seconds"]).to_list()
-    columns = {"opening, %": (100.0 * steps["opening"]).to_list(), "for, s": steps["seconds"].to_list()}
-    page.table(pd.DataFrame(columns | {"what": steps["what"].to_list()}, index=begin), "Steps, by their begin in s")
+    rows = [(100.0 * step.opening, step.seconds, step.what) for step in plan.steps]
+    begin = np.cumsum([0.0, *(step.seconds for step in plan.steps[:-1])])
+    page.table(pd.DataFrame(rows, begin, ["opening, %", "for, s", "what"]), "Steps, by their begin in s")
     time = plan.task.control_period * np.arange(plan.signals.shape[2], dtype=np.float64)
     axes = time_panels(tuple(PANELS), 5.0)
     draw_signals(axes, time, plan.signals[0])

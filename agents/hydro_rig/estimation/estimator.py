@@ -28,10 +28,9 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
 from hydro_env.types import Floats, Indices, Mask
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
-from hydro_rig.estimation.estimate import estimate
+from hydro_rig.estimation.estimate import SURE, EstimationSettings, estimate
 from hydro_rig.estimation.result import Estimate
-from hydro_rig.estimation.search import SURE, EstimationSettings
-from hydro_rig.estimation.structure import LAP, Lacking, Part, lacking, lap_of, unexplained, with_parts
+from hydro_rig.estimation.structure import LAP, USUAL_LAP, Lacking, Part, lacking, unexplained, with_parts
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -90,7 +89,7 @@ class EstimatorDetector:
 
     It reads windows with all commands; any sensor may be absent. A window that the model does not explain, or with a
     negative leak, has the cause ``UNKNOWN``; one with too little motion, ``UNDETERMINED``. Arguments as of
-    :class:`~hydro_rig.estimation.search.EstimationSettings`.
+    :class:`~hydro_rig.estimation.estimate.EstimationSettings`.
     """
 
     threshold: float | None = None
@@ -214,9 +213,7 @@ def _reading(
         high_lpm=value + HALF_WIDTH * deviation,
         fault=_in_words(worn, excess > 0.0),
         why=np.select(
-            [~fits, known, still, worn.of_model],
-            [Why.MISFIT, Why.ANSWERED, Why.AT_REST, Why.DIFFERS],
-            Why.UNDETERMINED,
+            [~fits, known, still, worn.of_model], [Why.MISFIT, Why.ANSWERED, Why.AT_REST, Why.DIFFERS], Why.UNDETERMINED
         ),
     )
 
@@ -232,7 +229,7 @@ def wear_priors(task: TaskConfig) -> dict[str, Prior]:
         EXTERNAL_LEAKAGE: Prior(0.0, 1.0),
     }
     if LAP not in task.randomisation:
-        wide[LAP] = lap_of(task)
+        wide[LAP] = Prior(valve.overlap, USUAL_LAP)
     for channel in ("pressure_a", "pressure_b", "spool_position"):
         bias = getattr(task.sensors, channel).bias
         if bias > 0.0:

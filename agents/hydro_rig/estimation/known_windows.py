@@ -152,9 +152,8 @@ def _biases(axes: Axes) -> Floats:
     """Biases of the sensors of all axes now, (N, sensors), SI, offsets by a fault included."""
     offset = axes.column("fault")[:, [FAULTS.index(f"{name}_offset") for name in SENSORS]]
     sensors = [getattr(axes.config.sensors, name) for name in SENSORS]
-    return np.asarray(
-        axes.column("bias")[:, SENSOR_COLUMNS] + offset * [sensor.high - sensor.low for sensor in sensors]
-    )
+    spans = np.array([sensor.high - sensor.low for sensor in sensors])
+    return np.asarray(axes.column("bias")[:, SENSOR_COLUMNS] + offset * spans)
 
 
 def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mapping[str, float] | None = None) -> Cases:
@@ -167,11 +166,14 @@ def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mappin
 def bound(config: TaskConfig, windows: KnownWindows, priors: Mapping[str, Prior], threads: int | None = None) -> Floats:
     """The smallest standard deviation of the leak, (B,), l/min at 100 bar, when the other unknowns are unknown too.
 
-    The commands of the windows are replayed on the true plants; ``threads``: ``None`` takes one per core.
+    The commands of the windows are replayed on the true plants; ``threads``: ``None`` takes one per core. By a coarse
+    derivative each step of the differences changes the readings by :data:`RESPONSE`.
     """
     model, scaled = true_model(config, windows, priors, threads)
     problem, place = Problem(model, usable_readings(windows.signals, config, model)), model.names.index(LEAKAGE)
-    linear = problem.linearised(scaled, steps_at(model, scaled), central=True)
+    coarse = model.linearise(scaled)[1][:, model.simulated]
+    steps = np.clip(RESPONSE / np.sqrt(1.0 + (coarse**2).sum(axis=(2, 3))), 1e-7, 0.1)
+    linear = problem.linearised(scaled, steps[:, :, None] * np.eye(len(model.simulated)), central=True)
     deviation: Floats = np.sqrt(linear.covariance()[:, place, place]) * model.prior.slope(scaled)[:, place]
     return deviation
 
@@ -183,13 +185,6 @@ def true_model(
     strict = task_config(config, tolerance=min(config.tolerance, TOLERANCE))
     model = Model(strict, priors, windows.signals[:, -1], windows.physical, windows.start, threads)
     return model, model.prior.scaled(np.stack([windows.value(name) for name in priors], axis=1))
-
-
-def steps_at(model: Model, scaled: Floats) -> Floats:
-    """Steps of the differences, (B, S, S): by a coarse derivative each changes the readings by :data:`RESPONSE`."""
-    coarse = model.linearise(scaled)[1][:, model.simulated]
-    steps = np.clip(RESPONSE / np.sqrt(1.0 + (coarse**2).sum(axis=(2, 3))), 1e-7, 0.1)
-    return np.asarray(steps[:, :, None] * np.eye(len(model.simulated)))
 
 
 def leak_bound(protocol: LeakProtocol) -> Iterator[Cell]:

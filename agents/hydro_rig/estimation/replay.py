@@ -56,9 +56,8 @@ class Commands(NamedTuple):
 
     def beginning(self, samples: int) -> Self:
         """The first samples."""
-        return self._replace(
-            command=self.command[:, :samples], boundary=np.ascontiguousarray(self.boundary[:, :, :samples])
-        )
+        boundary = np.ascontiguousarray(self.boundary[:, :, :samples])
+        return type(self)(self.command[:, :samples], boundary)
 
     def part(self, windows: Indices) -> Self:
         """Some of the windows."""

@@ -9,15 +9,18 @@ which leaves a small problem of the shared unknowns.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.jobs import Report
 from hydro_env.types import Floats, Indices, Mask
-from hydro_rig.estimation.errors import Errors, whitened
 from hydro_rig.estimation.model import SHORT_STEP, Model
-from hydro_rig.estimation.progress import tell
+from hydro_rig.estimation.result import Errors, whitened
 from hydro_rig.estimation.unknowns import Prior
 
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])
@@ -27,6 +30,7 @@ SMALL_DAMPING = 1e-2  # damping up to which a step is nearly a Gauss–Newton st
 BLOCK = 20  # number of samples per block; the mean residual of each block is tested
 
 NONE_SHARED: Indices = np.empty(0, np.int64)
+_display: ContextVar[Report | None] = ContextVar("display", default=None)
 
 
 class Problem(NamedTuple):
@@ -64,10 +68,8 @@ class Problem(NamedTuple):
             residual, jacobian = (whitened(values, known, self.errors) for values in (residual, jacobian))
         square = (residual**2).sum(axis=2) / np.maximum(known.sum(axis=2), 1)
         weight = np.repeat(np.nan_to_num(1.0 / np.maximum(square, 1.0))[:, :, None], known.shape[2], axis=2)
-        count, unknowns = scaled.shape
-        return Linearised(
-            residual.reshape(count, -1), jacobian.reshape(count, unknowns, -1), weight.reshape(count, -1), known
-        )
+        flat = *residual.shape[:1], -1
+        return Linearised(residual.reshape(flat), jacobian.reshape(*scaled.shape, -1), weight.reshape(flat), known)
 
 
 class Linearised(NamedTuple):
@@ -129,11 +131,7 @@ class Effort(NamedTuple):
 
 
 def fit(
-    problem: Problem,
-    first: Floats,
-    effort: Effort,
-    samples: int | None = None,
-    shared: Indices = NONE_SHARED,
+    problem: Problem, first: Floats, effort: Effort, samples: int | None = None, shared: Indices = NONE_SHARED
 ) -> tuple[Floats, Floats]:
     """Improve the unknowns of windows until convergence: scaled unknowns, (B, P), and directions, (B, S, S).
 
@@ -244,3 +242,27 @@ def _excess(residual: Floats, jacobian: Floats, covariance: Any, number: Indices
     spread = 2.0 / (9.0 * freedom)
     excess = (np.cbrt((residual**2).sum(axis=1) / freedom) - 1.0 + spread) / np.sqrt(spread)
     return np.where(np.isfinite(excess), excess, np.inf)
+
+
+@contextmanager
+def told_to(display: Report | None) -> Iterator[None]:
+    """What is told inside the block goes to a display; ``None``: to nobody."""
+    token = _display.set(display)
+    try:
+        yield
+    finally:
+        _display.reset(token)
+
+
+@contextmanager
+def shown(quiet: bool = False) -> Iterator[None]:
+    """What is told inside the block is shown on the console, unless ``quiet``."""
+    with nullcontext() if quiet else ProgressDisplay() as display, told_to(None if display is None else display.update):
+        yield
+
+
+def tell(phase: str, done: int, total: int) -> None:
+    """How far a phase is."""
+    display = _display.get()
+    if display is not None:
+        display(phase, done, total)

@@ -14,8 +14,7 @@ import numpy as np
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.types import Mask
-from hydro_rig.estimation.errors import SHORT
-from hydro_rig.estimation.result import Estimate
+from hydro_rig.estimation.result import SHORT, Estimate
 from hydro_rig.estimation.unknowns import Prior, course_of, prior_of
 
 LEAST_GAIN = 10.0  # of twice the log-likelihood per unknown of a part, by which the part is believed
@@ -36,11 +35,6 @@ class Part(StrEnum):
 
 LAP, USUAL_LAP = "valve.overlap", 0.01
 """The lap of the valve's edges, and its standard deviation where no range is known, of full stroke."""
-
-
-def lap_of(task: TaskConfig) -> Prior:
-    """The prior of the lap of a rig whose file tells no range of it."""
-    return Prior(task.plant.valve.overlap, USUAL_LAP)
 
 
 class Lacking(NamedTuple):

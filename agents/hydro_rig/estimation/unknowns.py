@@ -203,7 +203,6 @@ def _of_plant(config: TaskConfig, name: str) -> _Moments:
 
 
 def _range(low: float, high: float, logarithmic: bool = False) -> _Moments:
-    """Moments of a uniform or log-uniform distribution."""
     if high == low:
         return _Moments(low, 0.0)
     if not logarithmic:
@@ -214,7 +213,6 @@ def _range(low: float, high: float, logarithmic: bool = False) -> _Moments:
 
 
 def _product(a: _Moments, b: _Moments) -> _Moments:
-    """Moments of the product of independent quantities."""
     return _Moments(a.mean * b.mean, a.mean**2 * b.variance + b.mean**2 * a.variance + a.variance * b.variance)
 
 

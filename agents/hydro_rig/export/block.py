@@ -16,8 +16,7 @@ from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.settings import settings_of
 from hydro_env.types import Floats, Indices, Mask
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.export.contract import FaultCode, MeasuredSignals, State, block_inputs
-from hydro_rig.export.internal_reference import InternalReference
+from hydro_rig.export.contract import FaultCode, InternalReference, MeasuredSignals, State, block_inputs
 from hydro_rig.export.tracing import named
 
 COUNTED = 1_000_000  # lost samples; no counter runs over

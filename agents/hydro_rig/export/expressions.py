@@ -202,9 +202,8 @@ class Expressions:
         parts = [part for part in given if isinstance(part[1], Type)]
         texts, kinds = [text for text, _ in parts], [kind for _, kind in parts]
         if isinstance(callee, Inline):
-            name, result = self.translator.function(
-                callee, [part[1] if isinstance(part[1], Type) else part for part in given]
-            )
+            types = [part[1] if isinstance(part[1], Type) else part for part in given]
+            name, result = self.translator.function(callee, types)
             return f"{name}({', '.join(texts)})", result
         if isinstance(callee, type) and hasattr(callee, "_fields"):
             values = dict(zip(callee._fields, parts, strict=False))

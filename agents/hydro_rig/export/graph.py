@@ -111,7 +111,7 @@ def in_order(outputs: Sequence[Node]) -> list[Node]:
             done.setdefault(waiting.pop())
         else:
             waiting += reversed(missing)
-    return [node for node in done if node.operation not in ("input", "constant")]
+    return [node for node in done if node.operands]
 
 
 def in_single(graph: Graph) -> Graph:
@@ -190,7 +190,5 @@ class Builder:
 
 def inherited(operands: Collection[Node], origin: str) -> str:
     """Name of a number whose line of Python gives it none: that of its only operand, or its function."""
-    names = {
-        operand.name.removesuffix(SCALED) for operand in operands if operand.operation not in ("constant", "input")
-    }
+    names = {operand.name.removesuffix(SCALED) for operand in operands if operand.operands}
     return names.pop() if len(names) == 1 else re.sub(r"\W", "", origin.split(": ")[0].split(", ")[-1]).strip("_")

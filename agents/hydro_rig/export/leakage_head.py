@@ -98,7 +98,6 @@ def head_code(head: LeakageHead) -> dict[str, str]:
 
 
 def _texts(head: LeakageHead) -> dict[str, Any]:
-    """What all templates say."""
     return {
         "version": __version__,
         "head": head,

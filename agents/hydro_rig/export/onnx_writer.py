@@ -183,10 +183,8 @@ def controller_model(controller: ControllerGraph) -> Any:
 
 
 def _converted(node: Node, kind: np.dtype[Any], name: str) -> Node:
-    """A number in a type."""
     return node if node.kind == kind else Node("cast", (node,), node.size, kind, name=name)
 
 
 def _chosen(condition: Node, yes: Node, no: Node, name: str) -> Node:
-    """One of two numbers."""
     return yes if yes is no else Node("where", (condition, yes, no), yes.size, yes.kind, name=name)

@@ -54,7 +54,7 @@ def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, NDArr
 
 def named(name: str, value: Any) -> Any:
     """The value; in the written code it has this name."""
-    if isinstance(value, Traced) and value.node().operation not in ("input", "constant"):
+    if isinstance(value, Traced) and value.node().operands:
         value.node().name = name
     return value
 
@@ -187,7 +187,6 @@ class Traced(NDArrayOperatorsMixin):
         return Traced(self._builder, places, value)
 
     def _of(self, value: Any, kind: Any = None) -> Traced:
-        """A value as a traced array of a type."""
         if isinstance(value, Traced):
             return value if kind is None or value.dtype == kind else value.astype(kind)
         array = np.asarray(value, dtype=kind)

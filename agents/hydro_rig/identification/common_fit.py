@@ -12,13 +12,10 @@ import numpy as np
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_env.types import Floats, Indices
-from hydro_rig.estimation.errors import NOISY, Errors, errors_of
-from hydro_rig.estimation.estimate import estimate, usable_readings
+from hydro_rig.estimation.estimate import LARGEST_MISFIT, EstimationSettings, estimate, timing_priors, usable_readings
 from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
-from hydro_rig.estimation.progress import tell
-from hydro_rig.estimation.result import Estimate
-from hydro_rig.estimation.search import LARGEST_MISFIT, EstimationSettings, timing_priors
-from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of
+from hydro_rig.estimation.result import NOISY, Errors, Estimate, errors_of
+from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of, tell
 from hydro_rig.estimation.unknowns import LATENCY, STARTS, Prior
 
 WELL_FITTED = LARGEST_MISFIT  # of an explained window

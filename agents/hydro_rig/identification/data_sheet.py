@@ -12,9 +12,8 @@ from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
-from hydro_rig.estimation.errors import NOISY, SLOW
 from hydro_rig.estimation.model import noise_of
-from hydro_rig.estimation.result import Estimate
+from hydro_rig.estimation.result import NOISY, SLOW, Estimate
 from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
 from hydro_rig.identification.found_rig import shown
 from hydro_rig.recordings.findings import Finding, Weight

@@ -25,7 +25,7 @@ from scipy import stats
 from hydro_agents.detection.detector import Windows
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution, own_value
-from hydro_env.task.sensors import PRESSURE_A, SENSORS
+from hydro_env.task.sensors import COMMAND, PRESSURE_A, SENSORS
 from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import (
@@ -208,25 +208,23 @@ def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured
     return [LEAKAGE, *plant, *biases, *gain, *starts_of(config)]
 
 
-def fit_windows(
-    windows: Windows,
-    config: TaskConfig,
-    ranges: Mapping[str, Distribution],
-    recording: Indices | None = None,
-) -> Fit:
+def fit_windows(windows: Windows, config: TaskConfig, ranges: Mapping[str, Distribution], recording: Indices) -> Fit:
     """Fit the unknowns to windows of one recording, or of several of one axis.
 
     Each window is fitted alone first. The common fit starts from the values of the window that fits all others best.
     ``ranges`` are those of the rig file; ``recording``: number of the recording of each window.
     """
-    measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
-    priors = priors_of(config, unknowns_of(config, ranges, measured))
+    priors = priors_of(config, unknowns_of(config, ranges, measured_in(windows)))
     common = common_fit(windows, config, priors)
-    group = None if recording is None else recording[np.isfinite(common.misfit)]
-    return _summary(common, config, ranges, group)
+    return _summary(common, config, ranges, recording[np.isfinite(common.misfit)])
 
 
-def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distribution], recording: Indices | None) -> Fit:
+def measured_in(windows: Windows) -> Mask:
+    """The sensors that measured anything in some windows, (channels,)."""
+    return np.asarray(np.isfinite(windows.signals[:, :COMMAND]).any(axis=(0, 2)))
+
+
+def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distribution], recording: Indices) -> Fit:
     """Values and intervals of the shared unknowns; one that the readings leave open keeps its range."""
     joint, model = common.joint, common.model
     priors = {model.names[place]: model.priors[model.names[place]] for place in joint.shared}

@@ -97,7 +97,7 @@ def simulate_held_back(
     first = _first_known(part.signals[POSITION], count)
     signals = part.signals[:, first:]
     edge = None if part.boundary is None else part.boundary[:, first:]
-    measured = signals[: len(SENSORS)]
+    measured = signals[:COMMAND]
     (simulated,) = rig.simulated(signals[None], None if edge is None else edge[None], count)
     time = period * np.arange(signals.shape[1], dtype=np.float64)
     moves = np.zeros(len(SENSORS), np.bool_)
@@ -129,7 +129,7 @@ class _Rig(NamedTuple):
         windows = np.moveaxis(signals[:, inside], 0, 1)
         boundary = None if edge is None else np.moveaxis(edge[:, inside], 0, 1)
         read = self.simulated(windows, boundary, count, NULL_DRIFT)
-        return np.stack([windows[:, : len(SENSORS)], read])[..., count:]
+        return np.stack([windows[:, :COMMAND], read])[..., count:]
 
     def simulated(self, windows: Floats, boundary: Floats | None, count: int, *more: str) -> Floats:
         """Readings (N, channels, T) of windows (N, 5, T), simulated from what their first ``count`` periods say.
@@ -137,7 +137,7 @@ class _Rig(NamedTuple):
         That is their start, and ``more`` unknowns.
         """
         config, names = self.config, (*starts_of(self.config), *self.timing, *more)
-        unbiased = np.concatenate([windows[:, : len(SENSORS)] - self.bias, windows[:, COMMAND, None]], axis=1)
+        unbiased = np.concatenate([windows[:, :COMMAND] - self.bias, windows[:, COMMAND, None]], axis=1)
         early = None if boundary is None else boundary[:, :, : count + 1]
         first = unbiased[:, :, : count + 1]
         plants = np.tile(self.physical, (len(windows), 1))

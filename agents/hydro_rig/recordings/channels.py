@@ -150,7 +150,6 @@ def _lost(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> 
 
 
 def _saturated(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
-    """Readings at the end of the sensor's range."""
     sensor = getattr(config.sensors, signal)
     at_end = _at_end(values, sensor) & ~_under_full_command(samples, signal)
     what = f"is at the end of the sensor's range ({_shown(signal, sensor.low)} to {_shown(signal, sensor.high)})"
@@ -167,7 +166,6 @@ def _half_step(sensor: Sensor) -> float:
 
 
 def _at_end(values: Floats, sensor: Sensor) -> Mask:
-    """Readings at either end of a sensor's range."""
     step = _half_step(sensor)
     return np.asarray((values >= sensor.high - step) | (values <= sensor.low + step))
 
@@ -228,7 +226,6 @@ def _must_change(during: Floats, signal: str, least: float, samples: Sampled, co
 
 
 def _shown(signal: str, value: float) -> str:
-    """A value in its displayed unit."""
     unit = {"position": "mm", "pressure_a": "bar", "pressure_b": "bar"}.get(signal, "%")
     return f"{value / UNITS[signal][unit]:.4g} {unit}"
 

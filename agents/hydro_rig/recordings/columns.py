@@ -132,13 +132,9 @@ def split_heading(heading: str) -> tuple[str, str | None]:
     return (match[1], match[2]) if match else (heading, None)
 
 
-def read_map(path: Path) -> ColumnMap:
-    """A map from a YAML file.
-
-    Raises:
-        ConfigurationError: the file is unreadable, or not a map.
-    """
-    return validate(ColumnMap, read_yaml(path), str(path))
+def read_map(path: Path | None) -> ColumnMap | None:
+    """A map from a YAML file, or none; ConfigurationError: the file is unreadable, or not a map."""
+    return None if path is None else validate(ColumnMap, read_yaml(path), str(path))
 
 
 def maps_of(texts: Sequence[str], paths: Sequence[Path]) -> list[ColumnMap | None]:
@@ -147,7 +143,7 @@ def maps_of(texts: Sequence[str], paths: Sequence[Path]) -> list[ColumnMap | Non
     Raises:
         ConfigurationError: a map is unreadable, a pattern matches no recording, or two maps are for all.
     """
-    maps: dict[Path, ColumnMap] = {}
+    maps: dict[Path, ColumnMap | None] = {}
     for text in texts:
         pattern, _, file = text.rpartition("=")
         if not pattern and len(texts) > 1:

@@ -7,7 +7,7 @@ import numpy as np
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import ConfigurationError
-from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
+from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.recording import FULL_COMMAND
@@ -190,7 +190,7 @@ def liveliest(windows: Windows, most: int, section: float = 0.0) -> Indices:
 
     Windows with all commands come first. With a ``section``, s, each of these parts of a recording gives one.
     """
-    ranges = _ranges(windows.signals[:, : len(SENSORS)])
+    ranges = _ranges(windows.signals[:, :COMMAND])
     activity = (ranges / np.maximum(ranges.max(axis=0, initial=0.0), 1e-300)).sum(axis=1)
     order = np.lexsort((-activity, ~windows.commanded))
     if section:

@@ -146,7 +146,10 @@ class AxisWatch:
         reading = self._detector.read(windows, on_grid(self.task, samples.period))
         blind = bool(np.isnan(rows.signals[[PRESSURE_A, PRESSURE_B]]).all())  # a faulty seal can then look healthy
         temperature = temperature_of(rows)
-        leak = referred(_leak_of(reading), self.axis.oil, temperature)
+        leak = NO_LEAK
+        if reading.sized[0]:
+            leak = Leak(float(reading.flow_lpm[0]), float(reading.low_lpm[0]), float(reading.high_lpm[0]))
+        leak = referred(leak, self.axis.oil, temperature)
         if leak.high <= self.axis.limit and not blind:
             self._sure = now
         condition, cause = self._summed_up(reading, leak, activity_of(windows.signals, samples.period))
@@ -158,7 +161,6 @@ class AxisWatch:
         return self._told(now, condition, cause, leak, temperature)
 
     def _recording(self) -> Recording:
-        """The kept rows."""
         stamps = np.array([time for time, _ in self._rows])
         values = np.array([row for _, row in self._rows]).T
         signals, others = np.split(values, [len(MEASURED)])
@@ -217,12 +219,6 @@ class AxisWatch:
             self.memory = AlarmState(**{name: np.array(values) for name, values in kept["alarm"].items()})
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigurationError(f"the memory of hydro watch: axis '{self.name}': {reason(error)}") from None
-
-
-def _leak_of(reading: Reading) -> Leak:
-    if not reading.sized[0]:
-        return NO_LEAK
-    return Leak(float(reading.flow_lpm[0]), float(reading.low_lpm[0]), float(reading.high_lpm[0]))
 
 
 class FleetWatch:

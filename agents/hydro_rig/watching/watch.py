@@ -16,7 +16,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.diagnosis.diagnose import diagnosed, read_windows
 from hydro_rig.diagnosis.oil import Oil, temperature_of
 from hydro_rig.diagnosis.verdict import NO_LEAK
-from hydro_rig.estimation.progress import tell, told_to
+from hydro_rig.estimation.solver import tell, told_to
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.parts import liveliest
 from hydro_rig.recordings.recording import Recording, read_recording
@@ -112,9 +112,8 @@ def watch(places: Sequence[Path], table_file: Path, fleet: Fleet, jobs: int = 1)
     new = [file for file in files if known.get(file.name) != file.size]
     errors = {file.name: why for file in new if (why := fleet.missing(file.axis))}
     readable = [file for file in new if file.name not in errors]
-    rows = Parallel(jobs, return_as="generator")(
-        delayed(_row_or_error)(file, fleet.axis(file.axis)) for file in readable
-    )
+    row_or_error = delayed(_row_or_error)
+    rows = Parallel(jobs, return_as="generator")(row_or_error(file, fleet.axis(file.axis)) for file in readable)
     stored, written = table, monotonic()
     try:
         for done, (file, row) in enumerate(zip(readable, rows, strict=True), 1):
@@ -131,9 +130,8 @@ def watch(places: Sequence[Path], table_file: Path, fleet: Fleet, jobs: int = 1)
             write_table(table_file, table)
     if table.empty:
         raise ConfigurationError(next(iter(errors.values()), f"{table_file}: holds no reading"))
-    newest = {
-        file.axis: errors.get(file.name, "") for file in sorted(files, key=lambda file: file.path.stat().st_mtime)
-    }
+    files.sort(key=lambda file: file.path.stat().st_mtime)
+    newest = {file.axis: errors.get(file.name, "") for file in files}
     trends = []
     for name in {*newest, *table["axis"], *fleet.named}:
         error = newest.get(name, "")
@@ -144,7 +142,6 @@ def watch(places: Sequence[Path], table_file: Path, fleet: Fleet, jobs: int = 1)
 
 
 def _row_or_error(file: File, axis: Axis) -> dict[str, Any] | str:
-    """The row of a file, or why it cannot be read."""
     try:
         return row_of_file(file.path, axis)
     except ConfigurationError as error:

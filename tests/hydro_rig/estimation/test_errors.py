@@ -8,10 +8,10 @@ from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
-from hydro_rig.estimation.errors import Errors, errors_of, spikes_of, whitened
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.known_windows import known_windows
 from hydro_rig.estimation.model import noise_of
+from hydro_rig.estimation.result import Errors, errors_of, spikes_of, whitened
 from hydro_rig.estimation.unknowns import LEAKAGE
 from hydro_rig.identification.data_sheet import contradictions
 

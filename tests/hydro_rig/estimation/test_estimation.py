@@ -8,9 +8,8 @@ from refusal import refused
 from hydro_env import TaskConfig
 from hydro_env.plant.states import State
 from hydro_env.task.configuration import task_config
-from hydro_rig.estimation.estimate import estimate
+from hydro_rig.estimation.estimate import EstimationSettings, estimate
 from hydro_rig.estimation.replay import Commands, Rows, replay
-from hydro_rig.estimation.search import EstimationSettings
 from hydro_rig.estimation.unknowns import LEAKAGE, Prior, default_unknowns, prior_of
 
 QUICK = EstimationSettings(horizons=(0.2,), restarts=1)

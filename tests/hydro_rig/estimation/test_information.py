@@ -10,9 +10,8 @@ from hydro_agents.learning.loading import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SENSORS
-from hydro_rig.estimation.estimate import estimate, usable_readings
+from hydro_rig.estimation.estimate import EstimationSettings, estimate, usable_readings
 from hydro_rig.estimation.known_windows import bound, known_windows, leak_cases, true_model
-from hydro_rig.estimation.search import EstimationSettings
 from hydro_rig.estimation.unknowns import BIASES, LEAKAGE, STARTS, default_unknowns, priors_of
 
 CONFIG = TaskConfig()

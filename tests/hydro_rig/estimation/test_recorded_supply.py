@@ -15,9 +15,8 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.diagnosis.verdict import Kind
-from hydro_rig.estimation.estimate import estimate
+from hydro_rig.estimation.estimate import EstimationSettings, estimate
 from hydro_rig.estimation.estimator import EstimatorDetector, wear_priors
-from hydro_rig.estimation.search import EstimationSettings
 from hydro_rig.estimation.unknowns import LEAKAGE
 from hydro_rig.recordings.columns import ColumnMap
 
