@@ -252,11 +252,7 @@ def estimate(
 
 
 def checked_signals(signals: Any) -> Floats:
-    """Signals as (B, 5, T).
-
-    Raises:
-        ConfigurationError: the shape is wrong.
-    """
+    """Signals as (B, 5, T); ConfigurationError: the shape is wrong."""
     windows = np.asarray(signals, dtype=np.float64)
     shape = windows.shape
     windows = windows[None] if windows.ndim == 2 else windows

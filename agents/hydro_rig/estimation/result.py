@@ -103,7 +103,7 @@ def spikes_of(residual: Floats, known: Mask) -> Mask:
         usual = 1.483 * np.nanmedian(away, axis=2, keepdims=True)
         spikes = known & (away > np.maximum(SPIKE * np.nan_to_num(usual), LEAST_SPIKE))
     spikes &= spikes.sum(axis=2, keepdims=True) <= MOST_SPIKES * known.sum(axis=2, keepdims=True)
-    return np.asarray(spikes)
+    return spikes
 
 
 def _build(sources: int) -> tuple[Any, Any]:

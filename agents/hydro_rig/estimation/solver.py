@@ -224,7 +224,7 @@ def misfit_of(linear: Linearised, covariance: Any) -> Floats:
 
     def sums(values: Floats) -> Floats:
         blocks = np.add.reduceat(values.reshape(*values.shape[:-1], channels, samples), starts, axis=-1)
-        return np.asarray(blocks.reshape(*values.shape[:-1], -1))
+        return blocks.reshape(*values.shape[:-1], -1)
 
     return np.maximum(
         _excess(residual, jacobian, covariance, known.sum(axis=(1, 2))),

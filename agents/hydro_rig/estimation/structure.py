@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.types import Mask
@@ -80,7 +78,7 @@ def lacking(task: TaskConfig, duration: float, supply_recorded: bool) -> dict[Pa
 
 def unexplained(found: Estimate) -> Mask:
     """Windows whose readings differ from the model by more than noise, (N,)."""
-    return np.asarray(~found.holds | ((found.slow > 0.0) & (found.memory > SHORT)).any(axis=1))
+    return ~found.holds | ((found.slow > 0.0) & (found.memory > SHORT)).any(axis=1)
 
 
 Fit = Callable[[tuple[Part, ...], Estimate], Estimate]

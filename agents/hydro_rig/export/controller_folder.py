@@ -54,11 +54,7 @@ def files_of(name: str) -> tuple[str, ...]:
 
 
 def check_block_name(name: str) -> None:
-    """Check the name of a block.
-
-    Raises:
-        ConfigurationError: it is no name, or a word of C or Structured Text.
-    """
+    """Check the name of a block; ConfigurationError: it is no name, or a word of C or Structured Text."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]{0,30}", name) or name.lower() in RESERVED:
         raise ConfigurationError(
             f"--name {name}: must be at most 31 letters and digits, a letter first, and no word of C or Structured Text"

@@ -23,11 +23,7 @@ _OPERATORS = {
 
 
 def package(name: str) -> Any:
-    """The package onnx or onnxruntime.
-
-    Raises:
-        ConfigurationError: it is not installed.
-    """
+    """The package onnx or onnxruntime; ConfigurationError: it is not installed."""
     try:
         return import_module(name)
     except ImportError:

@@ -59,7 +59,7 @@ class Joint(NamedTuple):
     @property
     def covariance(self) -> Floats:
         """Of the shared unknowns, (p, p), including the priors."""
-        return np.asarray(np.linalg.inv(self.information.sum(axis=0) + np.eye(len(self.shared))), np.float64)
+        return np.linalg.inv(self.information.sum(axis=0) + np.eye(len(self.shared)))
 
     @property
     def common(self) -> Floats:

@@ -186,7 +186,7 @@ class Fit(NamedTuple):
     @property
     def explained(self) -> Mask:
         """Whether the model explains the readings of each window within the sensors' noise, (B,)."""
-        return np.asarray(self.misfit < WELL_FITTED)
+        return self.misfit < WELL_FITTED
 
     def knows(self, unknown: Unknown) -> bool:
         """Whether the recording determines an unknown.

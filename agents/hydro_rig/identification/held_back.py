@@ -73,8 +73,7 @@ class HeldBack(NamedTuple):
         """Speed in m/s, (…, T − k), over SPEED_OVER, from readings (…, channels, T)."""
         position = readings[..., POSITION, :]
         step = max(round(SPEED_OVER / self.period), 1)
-        speed: Floats = (position[..., step:] - position[..., :-step]) / (step * self.period)
-        return speed
+        return (position[..., step:] - position[..., :-step]) / (step * self.period)
 
     @property
     def period(self) -> float:
@@ -144,8 +143,7 @@ class _Rig(NamedTuple):
         found = estimate(first, config, names, priors=self.timing, physical=plants, boundary=early)
         priors = priors_of(config, names, self.timing)
         model = Model(config, priors, windows[:, COMMAND], physical=plants, boundary=boundary)
-        readings: Floats = model.readings(found.scaled) * model.noise[:, None] + self.bias
-        return readings
+        return model.readings(found.scaled) * model.noise[:, None] + self.bias
 
 
 def forecast(parts: Sequence[HeldBack]) -> Forecast | None:

@@ -167,7 +167,7 @@ def _half_step(sensor: Sensor) -> float:
 
 def _at_end(values: Floats, sensor: Sensor) -> Mask:
     step = _half_step(sensor)
-    return np.asarray((values >= sensor.high - step) | (values <= sensor.low + step))
+    return (values >= sensor.high - step) | (values <= sensor.low + step)
 
 
 def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:

@@ -188,11 +188,7 @@ def of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
 
 
 def _channels_of_tags(table: pd.DataFrame, places: Mapping[str, int]) -> list[_Channel]:
-    """The readings of each tag of a long table; those of bad quality are missing.
-
-    Raises:
-        ValueError: no reading is good.
-    """
+    """The readings of each tag of a long table; those of bad quality are missing; ValueError: no reading is good."""
     stamps, begin = time_stamps(table.iloc[:, places["time"]])
     time = numbers_of(table.iloc[:, places["time"]]) if stamps is None else begin + stamps
     values = numbers_of(table.iloc[:, places["value"]])

@@ -48,11 +48,7 @@ class Axis(NamedTuple):
 
     @classmethod
     def of(cls, settings: AxisSettings, folder: Path = Path()) -> Self:
-        """From its settings.
-
-        Raises:
-            ConfigurationError: a file is missing or wrong, or the oil is impossible.
-        """
+        """From its settings; ConfigurationError: a file is missing or wrong, or the oil is impossible."""
         rig = None if settings.rig is None else config_file("rigs", settings.rig, folder)
         task = task_config(settings.task, rig=rig, folder=folder)
         columns = None if settings.map is None else read_map(folder / settings.map)
@@ -69,11 +65,7 @@ class Fleet(NamedTuple):
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """From a file.
-
-        Raises:
-            ConfigurationError: the file, or one that it names, is missing or wrong.
-        """
+        """From a file; ConfigurationError: the file, or one that it names, is missing or wrong."""
         settings = validate(FleetSettings, read_yaml(path), str(path))
         usual = settings.model_dump(exclude={"axes"}, exclude_unset=True)
         axes = {}

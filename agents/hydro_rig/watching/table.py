@@ -88,11 +88,7 @@ def axis_of(parts: Sequence[str], given: str) -> tuple[str, str]:
 
 
 def read_table(path: Path) -> pd.DataFrame:
-    """The rows so far; none if the file does not exist.
-
-    Raises:
-        ConfigurationError: the file is no such table.
-    """
+    """The rows so far; none if the file does not exist; ConfigurationError: the file is no such table."""
     if not path.exists():
         return pd.DataFrame({name: pd.Series(dtype=str if name in TEXTS else float) for name in COLUMNS})
     try:
