@@ -37,8 +37,7 @@ HORIZON = 20  # control periods that are planned ahead
 ITERATIONS = 2  # improvements of the plan in each control period
 SAMPLES = 8  # random changes of the plan that are tried in each iteration
 EFFORT = 2e-7  # m; cost of a change of the command by 1, squared
-EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)
-"""m; one Gauss–Newton step for each of these limits: its cost is quadratic below the limit, linear above."""
+EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)  # m; one Gauss–Newton step for each: its cost is quadratic below, linear above
 
 STEP_LENGTHS = (1.0, 0.4)  # fractions of each Gauss–Newton step that are tried
 CHANGE_SIZES = (2.0, 0.5, 0.1, 0.02)  # largest random changes of the plan, as a fraction of 10 V
@@ -47,8 +46,7 @@ SCHEDULED = (*LEAK_COLUMNS, Coefficients._fields.index("external_force"), *FAULT
 """Coefficients that change during an episode."""
 
 POSITION = State._fields.index("position")
-PERTURBATION = 0.01
-"""Change of a command, as a fraction of 10 V, for the sensitivities; its effect is far above the integrator's error."""
+PERTURBATION = 0.01  # of 10 V, of a command for the sensitivities; its effect is far above the integrator's error
 NEWTON_STEPS = 6  # steps of the projected Newton method; each decides which commands stay at a limit
 BENDING = 5  # periods for which the reference beyond the preview keeps its acceleration; then it keeps its speed
 

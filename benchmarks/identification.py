@@ -47,8 +47,7 @@ WITHOUT_PRESSURES = (1, 5, 9, 13, 17, 20, 24, 28)  # number of the rig within th
 WITHOUT_SPOOL = (2, 6, 10, 14, 18, 22, 25, 29)
 CLIPPED = (3, 11, 19, 27)
 WRONG_FACTORS = {"bore": 1.04, "rated_drop": 0.5, "rod": 1.12}
-WRONG = dict(zip((7, 16, 23), WRONG_FACTORS, strict=True))
-"""Answer that is wrong in the file, by the number of the rig within the pattern; the file calls it certain."""
+WRONG = dict(zip((7, 16, 23), WRONG_FACTORS, strict=True))  # by the number of the rig, what the file calls certain
 VALIDATION_SKIP = 50_000  # seeds of validation before those of this benchmark
 DURATION = 20.0  # s
 FAR = 10.0  # standard deviations

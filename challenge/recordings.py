@@ -38,8 +38,7 @@ from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 SHARES = {"train": 0.5, "validation": 0.2, "test": 0.3}  # of the recordings
 SEEDS = {"train": BENCHMARK_TRAINING, "validation": BENCHMARK_VALIDATION, "test": BENCHMARK_TEST}
 
-BLOCK, CREWS = 300, 8
-"""Recordings per file, and groups of them per tier: a group shares its axis, who moves it, motion and noise."""
+BLOCK, CREWS = 300, 8  # recordings per file; groups per tier: each shares its axis, who moves it, motion and noise
 
 DURATION = 60.0  # s, of a recording
 HEALTHY = (0.1, 1.0)  # flow past a healthy seal over the largest of a healthy one, log-uniform

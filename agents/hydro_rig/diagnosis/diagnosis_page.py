@@ -34,8 +34,7 @@ ADVICE = {
 }
 """What to do next."""
 
-STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse", Kind.OTHER: "doubtful", Kind.UNKNOWN: ""}
-"""Class of the verdict in the style of the pages."""
+STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse", Kind.OTHER: "doubtful", Kind.UNKNOWN: ""}  # of the pages
 
 PANELS = {
     "position, mm": (1e3, ("position",)),

@@ -19,8 +19,7 @@ from hydro_rig.recordings.recording import Recording
 
 REFERENCE = 40.0  # °C, to which leaks are referred
 UNMEASURED = 40.0, 20.0 * 0.9 / HALF_WIDTH  # °C, mean and standard deviation without a thermometer: 20 to 60 with 0.9
-THERMOMETER = 1.5
-"""K, standard deviation by which the oil in the gap differs from what a thermometer in tank or line reads; assumed."""
+THERMOMETER = 1.5  # K, standard deviation of the oil in the gap from what a thermometer in tank or line reads; assumed
 KELVIN = 273.15
 
 GRADES = {10: 2.66, 15: 3.41, 22: 4.29, 32: 5.36, 46: 6.76, 68: 8.73, 100: 11.4, 150: 15.0, 220: 19.4, 320: 25.0}

@@ -19,8 +19,7 @@ from hydro_rig.diagnosis.volume_balance import VolumeLeak
 from hydro_rig.recordings.findings import Finding, Weight
 
 MOST = 0.5  # share of the windows that counts as "most"
-CHANGED = 3.0
-"""Change of the leak within the recording that the verdict mentions, in standard deviations of a window's reading."""
+CHANGED = 3.0  # change of the leak within a recording that is told, in standard deviations of a window's reading
 SHORT = 0.5  # s; the shortest window that is recommended
 SHORTER = f"shorter ones (--window {SHORT:g}) may fit between the gaps, and read the leak less exactly"
 
@@ -34,8 +33,7 @@ class Kind(StrEnum):
     UNKNOWN = Cause.UNKNOWN.word
 
 
-EXIT_CODES = {Kind.HEALTHY: 0, Kind.LEAK: 10, Kind.OTHER: 11, Kind.UNKNOWN: 12}
-"""Of commands that give a verdict; 2 is that of bad input."""
+EXIT_CODES = {Kind.HEALTHY: 0, Kind.LEAK: 10, Kind.OTHER: 11, Kind.UNKNOWN: 12}  # 2: bad input
 
 
 class Leak(NamedTuple):

@@ -26,10 +26,9 @@ SURE = 3.0  # standard deviations of an estimate, beyond which a value is surely
 SMALL_SLOW_ERROR = 3.0  # the same in standard deviations of the data sheet's noise, which is always allowed
 
 
-SPIKE_COST = 15.0
-"""Twice the negative log-likelihood of a spike: one reading of a hundred, anywhere within a hundred deviations."""
-
+SPIKE_COST = 15.0  # twice the negative log-likelihood of a spike: one reading of a hundred, within a hundred deviations
 OF_A_BEGINNING = Effort(6, 5.0, LONG_STEP, thorough=False)  # of each fit of a beginning
+OF_THE_WHOLE = Effort(100, 0.05)
 LARGEST_MISFIT = 4.0  # standard deviations of chi2; above this the model is not valid
 SAMPLES_PER_BATCH = 25_600  # largest number of samples, over all windows, in one fit; more would only need more memory
 _FIRST_SAMPLES = 6  # number of samples for the straight line that gives each start value
@@ -39,19 +38,11 @@ _FIRST_SAMPLES = 6  # number of samples for the straight line that gives each st
 class EstimationSettings:
     """Settings of the search for an estimate."""
 
-    horizons: tuple[float, ...] = (0.1, 0.2, 0.4, 0.7, 1.2, 2.4, 4.8)
-    """Lengths of the first, rough fits, s; each starts from the result of the previous one."""
-
-    iterations: int = 100  # of the last fit, at the most
-    tolerance: float = 0.05  # the search ends after an iteration that lowers the cost by less
+    horizons: tuple[float, ...] = (0.1, 0.2, 0.4, 0.7, 1.2, 2.4, 4.8)  # s, of the first, rough fits
+    effort: Effort = OF_THE_WHOLE  # of the last fit
     restarts: int = 3  # further searches for windows that the model does not explain
     errors: bool = True  # whether windows with a misfit are fitted again with errors of their own
     threads: int | None = None  # worker threads; None takes one per core
-
-    @property
-    def effort(self) -> Effort:
-        """Of the last fit."""
-        return Effort(self.iterations, self.tolerance)
 
 
 def search(problem: Problem, first: Floats, settings: EstimationSettings) -> Estimate:

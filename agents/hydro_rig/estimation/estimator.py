@@ -46,11 +46,8 @@ WIDEST_READING = 0.05
 other rigs it grows with their flow (:func:`~hydro_agents.detection.sheet.leak_scale`)."""
 
 STEPS_WITH_PART = 25  # largest number of iterations of each fit with a part that an axis may have
-
 LEAST_TRAVEL = 20.0  # smallest travel of an axis in motion, in standard deviations of the position's noise
-
-LEAST_DEVIATION = 0.1
-"""Smallest credible standard deviation of the leak, as a fraction of the healthy bound: the model is not exact."""
+LEAST_DEVIATION = 0.1  # credible standard deviation of the leak, of the healthy bound: the model is not exact
 
 LARGEST_NULL_SHIFT, LARGEST_BACK_PRESSURE, LARGEST_BIAS = 0.004, 1.5e5, 2.0
 """Limits of a healthy axis: null shift as a fraction of full stroke, return pressure above the data sheet's in Pa, and
@@ -186,7 +183,7 @@ class EstimatorDetector:
             priors |= possible[part].priors
             names = (*names, *possible[part].priors)
             task = task_config(task, **possible[part].changes)
-        effort: dict[str, Any] = {"restarts": 0, "iterations": STEPS_WITH_PART}
+        effort: dict[str, Any] = {"restarts": 0, "effort": self.settings.effort._replace(iterations=STEPS_WITH_PART)}
         if not begin.holds[0]:
             return self._estimate(window, task, names, priors, **effort)
         return self._estimate(window, task, names, priors, (begin, np.array([0])), horizons=(), **effort)

@@ -22,14 +22,9 @@ from hydro_env.types import Floats, Indices
 from hydro_env.units import FULL_VOLTAGE
 
 KINDS = 2 ** len(Structure._fields)  # of structures
-
 ROWS_PER_THREAD = 64  # smallest number of rows per thread; with fewer, starting the thread takes longer than its work
-
 RISE = math.log(9.0)  # 10–90 % rise time of a first-order lag over its time constant
-
-MOST_STEPS = 500.0
-"""Largest number of inner steps between two samples; a plant that needs more could not have moved as recorded."""
-
+MOST_STEPS = 500.0  # inner steps between two samples; a plant that needs more could not have moved as recorded
 _PLACES = COMPLETE(*range(len(COMPLETE._fields)))
 _TIP_POSITION, _TIP_VELOCITY = _PLACES.tip_position, _PLACES.tip_velocity
 _CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = _PLACES.coil_current, _PLACES.gas_volume, _PLACES.supply_pressure

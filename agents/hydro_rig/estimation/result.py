@@ -29,7 +29,6 @@ SHORT = 2.0  # samples; memory of noise that looks like a slow error
 LASTING = 0.05  # of the window; least memory of a slow error that is no coloured noise
 NOISY = 1.1  # white noise over that of the data sheet from which on a channel contradicts it
 LEAST_WHITE = 0.1  # smallest white noise, over that of the data sheet
-
 SPIKE = 5.0  # robust standard deviations from the median of its neighbours beyond which a residual is a spike
 LEAST_SPIKE = 4.0  # the same, in standard deviations of the data sheet's noise
 MOST_SPIKES = 0.2  # share of a channel; with more of them, the channel is not described by spikes

@@ -23,9 +23,7 @@ from hydro_rig.estimation.model import SHORT_STEP, Model
 from hydro_rig.estimation.result import Errors, whitened
 from hydro_rig.estimation.unknowns import Prior
 
-DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])
-"""Factors on the damping; the best of their steps is taken in each iteration."""
-
+DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # factors on the damping; the best of their steps is taken
 SMALL_DAMPING = 1e-2  # damping up to which a step is nearly a Gauss–Newton step
 BLOCK = 20  # number of samples per block; the mean residual of each block is tested
 

@@ -18,7 +18,6 @@ from hydro_rig.estimation.unknowns import Prior, course_of, prior_of
 LEAST_GAIN = 10.0  # of twice the log-likelihood per unknown of a part, by which the part is believed
 LEAST_GAIN_OF_STEP = 3.0  # the same per step of a moving supply: each changes a part of the window alone
 MOST_PARTS = 3  # of one window
-
 YIELD = 1e-4  # m, median of the way that a seal yields before it slides
 
 
@@ -81,8 +80,7 @@ def unexplained(found: Estimate) -> Mask:
     return ~found.holds | ((found.slow > 0.0) & (found.memory > SHORT)).any(axis=1)
 
 
-Fit = Callable[[tuple[Part, ...], Estimate], Estimate]
-"""(parts, estimate to begin from) → estimate of the same window with these parts."""
+Fit = Callable[[tuple[Part, ...], Estimate], Estimate]  # of a window with parts, from an estimate of it on
 
 
 def with_parts(rigid: Estimate, possible: Mapping[Part, Lacking], usual: tuple[Part, ...], fit: Fit) -> Estimate:

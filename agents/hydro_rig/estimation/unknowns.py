@@ -36,12 +36,8 @@ COURSE, KNOTS = "supply.course_", 0.25
 steps of a random walk are unknowns of a window, numbered from 1."""
 
 COURSE_STEP = 0.02  # standard deviation of a step, as a share of the supply pressure
-
-NULL_DRIFT = "valve.null_drift"
-"""Null of the valve in one window minus that of the rig: it wanders with temperature and with the amplifier."""
-
+NULL_DRIFT = "valve.null_drift"  # null in one window minus the rig's: it wanders with temperature and amplifier
 USUAL_DRIFT = 0.003  # standard deviation, parts of full command: real amplifiers and valves wander by 1 % and more
-
 STARTS = tuple(f"start.{name}" for name in ALL_STATES)
 EXTERNAL_RESISTANCE = f"leakage.{ROD_SEAL.parameter}"
 

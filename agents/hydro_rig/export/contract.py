@@ -18,9 +18,7 @@ from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.graph import SCALED
 from hydro_rig.export.tracing import named
 
-COMPUTED = ("velocity_estimate", "tracking_error", "error_integral", "previous_command")
-"""Entries of the observation that the block computes itself."""
-
+COMPUTED = ("velocity_estimate", "tracking_error", "error_integral", "previous_command")  # by the block itself
 _PREVIEW = "reference_preview_"
 SENSOR_MEANINGS = {
     "position": "measured, from the middle of the stroke; positive: extended",
@@ -217,8 +215,7 @@ class InternalReference:
         plant = signals.config.plant
         self._signals, self._period = signals, signals.config.control_period
         self._full_speed, self._jump = full_speed(plant), max(speed_limits(plant))
-        self.max_speed = SPEED_SHARE * min(speed_limits(plant))
-        """Usual speed of an own motion, m/s."""
+        self.max_speed = SPEED_SHARE * min(speed_limits(plant))  # usual speed of an own motion, m/s
         self.max_acceleration = self.max_speed * closed_port_natural_frequency(plant) / ACCELERATING
         """Its usual acceleration, m/s²."""
 

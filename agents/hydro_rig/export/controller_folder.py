@@ -23,12 +23,8 @@ from hydro_rig.export.controller import GAINS, ControllerGraph, c_name, controll
 from hydro_rig.export.onnx_writer import controller_model, onnx_session
 from hydro_rig.export.structured_text import RESERVED, call_example, plcopen_xml, st_name, structured_text
 
-LARGEST_DIFFERENCE = 1e-5
-"""Largest difference of the command between the exported controller and the one in Python; more is an error."""
-
-IN_SINGLE = 1e-4
-"""The same of a block in single precision: a millivolt, three steps of a 16-bit output."""
-
+LARGEST_DIFFERENCE = 1e-5  # of the command between the exported controller and the one in Python; more is an error
+IN_SINGLE = 1e-4  # the same of a block in single precision: a millivolt, three steps of a 16-bit output
 NAME = "Controller"
 MODEL_FILE, TASK_FILE = "controller.onnx", "task.yaml"
 FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them

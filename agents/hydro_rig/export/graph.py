@@ -31,9 +31,7 @@ ELEMENTWISE |= dict.fromkeys((np.logical_or, np.bitwise_or), "or")
 ELEMENTWISE |= dict.fromkeys((np.logical_not, np.invert), "not")
 """Name of the operation of each NumPy function that works element by element."""
 
-SCALED = "_scaled"
-"""End of the name of an entry of the observation, which has no unit; the same number in SI units has none."""
-
+SCALED = "_scaled"  # ends the name of an entry of the observation, without unit; the same number in SI has none
 KINDS = DOUBLE, SINGLE, *_ = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.int64, np.bool_))
 
 

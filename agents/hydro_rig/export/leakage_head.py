@@ -43,9 +43,7 @@ FIELDS = {
 }
 FORGET = 4  # multiples of window times interval after which the C code restarts its sample counter
 FILES = ("leakage_head.c", "leakage_head.h", "test_leakage_head.c", "vectors.csv", "README.md")
-LARGEST_DIFFERENCE = 2e-5
-"""Largest difference of a value, relative to 1 + its size, due to the order of float32 sums. More is an error."""
-
+LARGEST_DIFFERENCE = 2e-5  # of a value, relative to 1 + its size, due to the order of float32 sums; more is an error
 VECTOR_LEAKS = (0.01, 0.5, 2.0)  # l/min at 100 bar, in the episodes of the test vectors
 ESTIMATES = 4  # control periods per episode of the test vectors
 

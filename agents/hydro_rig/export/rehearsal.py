@@ -38,7 +38,6 @@ LOST_EVERY = 10  # samples; one of them is lost
 SETTLED = 1e-3  # m; a move is over while the axis stays this close to its target
 WEAK = 0.8  # of the supply's pressure
 HEALTHY, WORN = 0.02, 4.0  # l/min at 100 bar
-
 _FIELD = re.compile(r"^ +(int|long|float|double) (\w+);", re.MULTILINE)
 _TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "float": ctypes.c_float, "double": ctypes.c_double}
 

@@ -29,7 +29,6 @@ RESERVED = frozenset((TEMPLATES / "reserved_words.txt").read_text(encoding="utf-
 """Words of the language, its standard functions and blocks, and of C; indices of loops. No variable has such a name."""
 
 LARGEST_TABLE = 1000  # numbers in single precision, 4 kB: of a matrix in an instance, or in one function
-
 ASCII = {"±": "+/-", "…": "...", "−": "-", "→": "->", "²": "2", "°": "deg", "√": "root of "}
 _TYPE = re.compile(r"^TYPE\b(.*?)^END_TYPE", re.MULTILINE | re.DOTALL)
 _UNIT = re.compile(r"^(FUNCTION|FUNCTION_BLOCK|PROGRAM) (\w+)(?: : (\w+))?\n(.*?)^END_\1", re.MULTILINE | re.DOTALL)

@@ -24,14 +24,11 @@ OUTLIER, FAR_OUTLIER = 3.0, 30.0
 local minimum, or there was a disturbance. Where most windows are unexplained the second factor holds: there a large
 misfit is what a window of fast motion has."""
 
-ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2, errors=False)
+ROUGHLY = EstimationSettings(restarts=1, effort=Effort(20, 0.2), errors=False)
 """Search settings of the single windows; the common fit continues from their results."""
 
 LOOSENED = 4.0  # factor on the variance of the common values, as the prior of a window that they do not explain
-
-MOST_DAMPING = 5e5
-"""A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
-
+MOST_DAMPING = 5e5  # a common fit ends when no step with more lowers its cost; single windows end earlier
 PHASE = "common fit"
 ROUGH = Effort(40, 1.0, LONG_STEP, give_up=MOST_DAMPING, phase=PHASE)
 FINE = Effort(25, 0.02, SHORT_STEP, give_up=MOST_DAMPING, phase=PHASE)

@@ -42,7 +42,6 @@ from hydro_rig.identification.common_fit import WELL_FITTED, Common, Joint, comm
 
 TAIL = 0.025  # of the 95 % interval, to each side
 MODERATION = 4.0  # degrees of freedom of the common ratio; seven windows, the usual number in 20 s, have six
-
 LEAST_RATIO = 1.0  # a variance is never below this share of the model's
 MOST_OWN = 0.95  # largest share of a direction that one window decides, in the correction of its score
 
@@ -50,8 +49,7 @@ SURE_RISE = 3.0
 """Rise of the cost, in standard deviations, up to which an end of a range is possible: the few readings that reached a
 limit may favour it by chance, and then all larger values are as likely."""
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
-DETERMINED = 0.5
-"""A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
+DETERMINED = 0.5  # largest standard deviation of a determined unknown, as a share of that of its range
 
 
 class Spread(NamedTuple):

@@ -26,7 +26,6 @@ from hydro_rig.estimation.unknowns import (
 from hydro_rig.identification.fit import Fit, hull, within_bounds
 
 DIGITS = 6  # significant, of the numbers in the file
-
 _BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
 
 

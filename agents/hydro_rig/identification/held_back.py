@@ -22,11 +22,8 @@ add up, because nothing holds the axis."""
 
 FORECAST_EVERY = 2.0  # s, from the beginning of a forecast to that of the next
 FORECAST_FROM = 2.0  # s before a forecast, which show its state and how far the null of the valve has wandered
-
 START_FROM = 0.2  # s; the initial state comes from this first part; afterwards the simulation uses only the commands
-LEAST_MOTION = 20.0
-"""Smallest standard deviation of a channel, as a multiple of its noise, for a meaningful share of variance."""
-
+LEAST_MOTION = 20.0  # standard deviation of a channel over its noise, for a meaningful share of variance
 CERTAIN = 1e-7  # s, standard deviation of a timing that the fit has found
 SPEED_OVER = 0.05  # s, over which a speed is a difference of positions
 MOVING = 0.3  # of the largest speed: above, the axis moves, and its simulated speed is compared with the measured one

@@ -21,7 +21,6 @@ unnoticed; no command of PID and PPO with more than 0.97 has less than 0.97.
 """
 
 Found = tuple[Mask, str, Weight]
-
 MOST_AT_AN_END = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
 ACTIVE_COMMAND = 0.01  # range of the command, as a fraction of full command, over which the spool must move
 FEWEST_STEPS = 20.0  # change of another channel that a sensor cannot miss, in steps of its readings

@@ -22,7 +22,6 @@ from hydro_rig.recordings.stamps import time_stamps, with_whole_stamps
 from hydro_rig.recordings.text_tables import text_table
 
 LARGEST_RECORDING = 1_000_000_000  # largest size in bytes; about twenty hours at 200 rows per second as CSV
-
 LONGEST_STEP = 2.0  # between a channel's own stamps for interpolation, as a multiple of their usual distance
 AS_FAST = 1.5  # longest usual distance of a channel's stamps for interpolation, as a multiple of that of the command
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
@@ -42,9 +41,7 @@ LONG = {
 }
 """Headings of a long table, with a row per reading of any tag, in lower case; the quality may be absent."""
 
-GOOD = {"good", "ok", "valid", "true", "1", "192"}
-"""Qualities of good readings, in lower case: words, 1 of WinCC, and 192 of OPC."""
-
+GOOD = {"good", "ok", "valid", "true", "1", "192"}  # qualities, in lower case: words, 1 of WinCC, 192 of OPC
 TIMES = ("time", "t", "zeit", "timestamps")
 CONTENTS = ("values", "value", "data", "signals", "signal")
 """Names of the fields of a MAT struct that hold its time, and its numbers, in lower case."""

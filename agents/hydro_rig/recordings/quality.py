@@ -46,9 +46,7 @@ FITS, FAILS = 0.6, 0.75
 On the three shipped rigs it is 0 to 0.6, and 0.6 to 1.0 with exchanged chambers or a reversed position.
 """
 
-SLOPES = (0.15, 6.0)
-"""Valid range of the slopes of the flow balance and of spool against command, including wear and noise."""
-
+SLOPES = (0.15, 6.0)  # valid range of the slopes of the flow balance and of spool against command, with wear and noise
 ROUNDING = 1e-4  # of full scale, by which a command at its limit may exceed it without a word
 LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
 

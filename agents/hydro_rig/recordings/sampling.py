@@ -30,7 +30,6 @@ the row distance."""
 
 MOST_LOST_ROWS = 0.2  # largest share of rows that may be missing in gaps, or duplicate
 PAUSE = 1.0  # s; a longer gap is a pause of the recording, which leaves the rows before and after it
-
 FOLLOWING = 0.1  # share of a stamp's deviation by which the clock is corrected: a slightly wrong one loses no row
 LONGEST_FILL = 3  # largest number of successive missing commands that are filled in
 HOLD_SHARE = 0.8  # smallest share of command changes at the same row within the control period

@@ -25,8 +25,7 @@ KNEES = 10  # places of the knee, beside the first reading
 AFTER_KNEE = 3  # fewest readings after the knee
 KNOWN_FREEDOM = 4.0  # degrees of freedom that standard deviations of the readings are worth
 FARTHEST = 100.0  # time to the limit that counts as never, as a multiple of the time of the readings
-NEIGHBOURS, FAR, MOST_USUAL = 8, 4.0, 0.7
-"""Readings with whose line one is compared; largest distance in standard deviations; least share inside."""
+NEIGHBOURS, FAR, MOST_USUAL = 8, 4.0, 0.7  # of a line beside a reading; standard deviations; least share inside
 LEAST_ERROR = 0.01  # decades, standard deviation that no reading beats
 DRAWS = 20_000  # of level and slope
 

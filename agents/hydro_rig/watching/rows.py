@@ -23,9 +23,7 @@ from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.watching.fleet import Fleet
 
-SIGNALS = (*MEASURED, *AUXILIARY)
-"""Of a row, in this order."""
-
+SIGNALS = (*MEASURED, *AUXILIARY)  # of a row, in this order
 NANOSECOND = 1e-9  # s
 TAG = "axis"  # column or tag with the name of the axis
 ALONE = "axis"  # name of an axis whose rows name none

@@ -21,9 +21,7 @@ LATEST, AGREE = 5, 3  # the state of an axis is the verdict on which three of it
 PLANT_ERROR = 0.1  # decades, the most of a usual error of the readings that may be common to all
 SURE = 0.999  # smallest probability of growth for which a date is told
 FARTHEST = 365.0  # days ahead, up to which a date is told
-LATE = 3.0
-"""An axis without a reading for so many times the median distance between its readings, or a day if that is longer, is
-stale."""
+LATE = 3.0  # median distances between its readings (or days, if longer) without one, after which an axis is stale
 
 
 class State(StrEnum):

@@ -12,6 +12,7 @@ from hydro_env import TaskConfig
 from hydro_env.task.sensors import SENSORS
 from hydro_rig.estimation.estimate import EstimationSettings, estimate, usable_readings
 from hydro_rig.estimation.known_windows import bound, known_windows, leak_cases, true_model
+from hydro_rig.estimation.solver import Effort
 from hydro_rig.estimation.unknowns import BIASES, LEAKAGE, STARTS, default_unknowns, priors_of
 
 CONFIG = TaskConfig()
@@ -84,7 +85,7 @@ def test_the_estimate_attains_the_bound(windows):
     noise = np.random.default_rng(0).standard_normal((copies, *true.shape)) * model.noise[:, None]
     command = np.broadcast_to(one.signals[:, -1:], (copies, 1, true.shape[1]))
     signals = np.concatenate([true + noise, command], axis=1)
-    settings = EstimationSettings(horizons=(), restarts=0, tolerance=1e-3)
+    settings = EstimationSettings(horizons=(), restarts=0, effort=Effort(100, 1e-3))
     found = estimate(signals, CONFIG, FEW, physical=np.repeat(one.physical, copies, axis=0), settings=settings)
     least = bound(CONFIG, one, priors)[0]
     error = found.value(LEAKAGE) - LEAK

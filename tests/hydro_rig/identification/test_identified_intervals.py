@@ -28,7 +28,7 @@ def fit_of(path, config, cut, task=None):
     recorded_file(path, config, 0.3, family="multi_sine", duration=config.episode_duration)
     count, samples = cut
     signals = read_recording(path).signals[:, : count * samples].reshape(5, count, samples).transpose(1, 0, 2)
-    return fit_windows(Windows.of(signals), task or config, config.randomisation)
+    return fit_windows(Windows.of(signals), task or config, config.randomisation, np.zeros(count, np.int64))
 
 
 def linear_fit(random, jacobian, disturbed=0.0):
