@@ -1,7 +1,7 @@
 """Compare controllers on test plants: a protocol with one condition, the task itself."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from hydro_agents.evaluation.robustness_protocol import (
     RobustnessProtocol,
 )
 from hydro_agents.evaluation.runner import Results, run
+from hydro_agents.running.jobs import Report
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
 from hydro_env import TaskConfig
 from hydro_env.files import validate
@@ -62,7 +63,7 @@ def evaluate(
     task: TaskConfig | Mapping[str, Any] | str | Path | None,
     controllers: Mapping[str, Controller | str | Path],
     settings: ProtocolSettings | Mapping[str, Any] | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Report | None = None,
     folder: Path | None = None,
 ) -> Results:
     """Compare controllers on test plants: the same plants, references and noise for each.

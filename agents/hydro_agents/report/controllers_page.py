@@ -16,6 +16,7 @@ from hydro_agents.evaluation.metrics import ERROR, FRAMES_TEXT, METRICS, RETURN
 from hydro_agents.report.kit import (
     INK,
     Page,
+    Tables,
     draw,
     drawn,
     height_of,
@@ -65,16 +66,10 @@ class Example(NamedTuple):
 
 
 @drawn
-def controllers_page(
-    title: str, tables: Mapping[str, pd.DataFrame], examples: Sequence[Example] = (), configuration: str = ""
-) -> Page:
+def controllers_page(title: str, tables: Tables, examples: Sequence[Example] = (), configuration: str = "") -> Page:
     """The page.
 
-    Args:
-        title: of the protocol.
-        tables: of the run, by the names of their CSV files.
-        examples: the same episodes at every leak.
-        configuration: YAML text.
+    ``examples`` are the same episodes at every leak, ``configuration`` is YAML.
     """
     page, names = Page(title), names_of(tables)
     verdict(page, tables)
@@ -95,12 +90,12 @@ def controllers_page(
     return page
 
 
-def names_of(tables: Mapping[str, pd.DataFrame]) -> list[str]:
+def names_of(tables: Tables) -> list[str]:
     """Names of the controllers, the baseline first."""
     return [str(name) for name in tables["summary"]["controller"].unique()]
 
 
-def rows_of(tables: Mapping[str, pd.DataFrame], table: str, group: str) -> pd.DataFrame:
+def rows_of(tables: Tables, table: str, group: str) -> pd.DataFrame:
     """Rows of a group of ``summary`` or ``comparison`` (there: with the baseline)."""
     rows = tables.get(table, pd.DataFrame(columns=["controller", "against", "group", "value"]))
     rows = rows[rows["group"] == group]
@@ -110,7 +105,7 @@ def rows_of(tables: Mapping[str, pd.DataFrame], table: str, group: str) -> pd.Da
 # Verdict and overview -------------------------------------------------------------------------------------------------
 
 
-def verdict(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
+def verdict(page: Page, tables: Tables) -> None:
     """The controller that is clearly better than the baseline, if there is one, and what makes this doubtful."""
     baseline, ratios = names_of(tables)[0], rows_of(tables, "comparison", ALL)
     if len(ratios):
@@ -133,7 +128,7 @@ def verdict(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
         page.text("Some seeds are no test seeds: a controller may have been trained on them.", "caution")
 
 
-def errors(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
+def errors(page: Page, tables: Tables) -> None:
     """Errors and costs of every controller, and ratios of policies to what they correct."""
     page.table(overview(tables), "Errors and costs over all runs")
     compared = tables.get("comparison", pd.DataFrame({"against": []}))
@@ -143,7 +138,7 @@ def errors(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
         page.table(ratios_of(corrected).set_axis(index), "A policy over what it corrects, on the same runs")
 
 
-def overview(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+def overview(tables: Tables) -> pd.DataFrame:
     """One row per controller over all runs: errors, ratios to the first one, costs, limit cycles."""
     names, rows = names_of(tables), rows_of(tables, "summary", ALL)
     means = rows.pivot(index="controller", columns="metric", values="mean").reindex(names)
@@ -180,7 +175,7 @@ def ratios_of(rows: pd.DataFrame) -> pd.DataFrame:
 # Conditions -----------------------------------------------------------------------------------------------------------
 
 
-def comparison(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
+def comparison(page: Page, tables: Tables) -> None:
     """The map of all conditions; those in the group with many follow in their own table."""
     page.heading("Comparison by condition")
     page.text(
@@ -195,7 +190,7 @@ def comparison(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
             page.table(frame[rows], title, dict.fromkeys(frame.columns[1:], 2), kinds[rows])
 
 
-def heat_map(tables: Mapping[str, pd.DataFrame]) -> tuple[pd.DataFrame, pd.DataFrame]:
+def heat_map(tables: Tables) -> tuple[pd.DataFrame, pd.DataFrame]:
     """A row per condition: error of the baseline, ratio of each other controller; and the classes of the cells.
 
     A cell has a colour if its whole interval is on one side of 1; the strongest stands for a ratio of 2 or 1/2.
@@ -225,7 +220,7 @@ def heat_map(tables: Mapping[str, pd.DataFrame]) -> tuple[pd.DataFrame, pd.DataF
 # Positioning ----------------------------------------------------------------------------------------------------------
 
 
-def by_leak(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
+def by_leak(page: Page, tables: Tables) -> None:
     """Errors and costs over the leak."""
     names, levels = names_of(tables), rows_of(tables, "summary", "level")
     if levels.empty:
@@ -243,7 +238,7 @@ def by_leak(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
         page.figure(axes, f"{metric.word} by leak")
 
 
-def by_kind(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
+def by_kind(page: Page, tables: Tables) -> None:
     """Ratios of errors to those of the baseline by kind of reference."""
     names, rows = names_of(tables), rows_of(tables, "comparison", "family")
     if len(rows):
@@ -284,7 +279,7 @@ def example_axes(example: Example) -> list[Axes]:
 # Method --------------------------------------------------------------------------------------------------------------
 
 
-def method(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
+def method(page: Page, tables: Tables) -> None:
     """What was run, on which seeds, and what the terms mean."""
     page.heading("How it was measured")
     page.points(

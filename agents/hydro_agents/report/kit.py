@@ -26,6 +26,9 @@ from hydro_agents.running.text import Table, number, setting
 from hydro_env.files import write_whole
 from hydro_env.types import Floats
 
+Tables = Mapping[str, pd.DataFrame]  # of a run, by the names of their CSV files
+Panels = Axes | Sequence[Axes]  # of one figure
+
 # Colours and style ----------------------------------------------------------------------------------------------------
 
 COLOURS = {
@@ -153,7 +156,7 @@ class Page:
         """A table of names and values."""
         self.table(pd.DataFrame({"value": pd.Series(facts, dtype=object)}), words=True)
 
-    def figure(self, axes: Axes | Sequence[Axes], title: str, note: str = "") -> None:
+    def figure(self, axes: Panels, title: str, note: str = "") -> None:
         """A figure by its panels; ``note`` says how to read it, the title is its alternate text."""
         figure = figure_of(axes)
         wide = "wide" if figure.get_figwidth() > NARROW else ""
@@ -229,7 +232,7 @@ def with_interval(table: pd.DataFrame, column: str, decimals: int | None = None,
 # Parts of several pages -----------------------------------------------------------------------------------------------
 
 
-def problems(page: Page, tables: Mapping[str, pd.DataFrame], who: str) -> None:
+def problems(page: Page, tables: Tables, who: str) -> None:
     """What failed or did not apply, from the tables ``status`` and ``conditions``."""
     status = tables.get("status", pd.DataFrame({"status": []}))
     table = status[status["status"].isin(["failed", "not applicable"])]
@@ -240,7 +243,7 @@ def problems(page: Page, tables: Mapping[str, pd.DataFrame], who: str) -> None:
             page.table(table[["condition", "status", "message"]], words=True)
 
 
-def run_facts(page: Page, tables: Mapping[str, pd.DataFrame], configuration: str = "") -> None:
+def run_facts(page: Page, tables: Tables, configuration: str = "") -> None:
     """The tables ``protocol`` and ``conditions``, and settings (YAML text) of the run."""
     page.heading("This run")
     if "protocol" in tables:
@@ -369,7 +372,7 @@ def legend(axes: Axes) -> None:
         axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=min(columns, len(labels)))
 
 
-def figure_of(axes: Axes | Sequence[Axes]) -> Figure:
+def figure_of(axes: Panels) -> Figure:
     """The figure of a panel, or of several."""
     (first, *_) = np.atleast_1d(np.asarray(axes, dtype=object))
     figure: Figure | None = first.get_figure(root=True)
@@ -377,7 +380,7 @@ def figure_of(axes: Axes | Sequence[Axes]) -> Figure:
     return figure
 
 
-def picture(axes: Axes | Sequence[Axes], kind: str, **options: Any) -> bytes:
+def picture(axes: Panels, kind: str, **options: Any) -> bytes:
     """A figure as a file (``svg``, ``png``), the same bytes for the same numbers."""
     figure = figure_of(axes)
     for axes in figure.axes:
@@ -388,7 +391,7 @@ def picture(axes: Axes | Sequence[Axes], kind: str, **options: Any) -> bytes:
     return file.getvalue()
 
 
-def inline_svg(axes: Axes | Sequence[Axes], prefix: str, alt: str) -> str:
+def inline_svg(axes: Panels, prefix: str, alt: str) -> str:
     """A figure as an element of a page: its colours are CSS variables, its ids begin with ``prefix``."""
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # letters are those of the page
         svg = picture(axes, "svg", transparent=True).decode()

@@ -1,6 +1,6 @@
 """The page of the leakage protocol: detectors of leaks under every condition."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -9,6 +9,7 @@ from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.kit import (
     INK,
     Page,
+    Tables,
     draw,
     drawn,
     height_of,
@@ -29,13 +30,10 @@ CHANGED = ("fault", "plant", "rig")  # groups of conditions with another fault o
 
 
 @drawn
-def leakage_page(title: str, tables: Mapping[str, pd.DataFrame], base: str) -> Page:
+def leakage_page(title: str, tables: Tables, base: str) -> Page:
     """The page.
 
-    Args:
-        title: of the protocol.
-        tables: of the run, by the names of their CSV files.
-        base: the condition with all leaks.
+    ``base`` is the condition with all leaks.
     """
     page, conditions = Page(title), tables["conditions"].set_index("condition")
     found = tables["detection"].assign(label=tables["detection"]["condition"].map(conditions["label"]))
@@ -102,7 +100,7 @@ def smallest_found(found: pd.DataFrame, detector: str, base: str) -> float:
     return float(shares.index[~(shares.index <= missed)].min())
 
 
-def findings(tables: Mapping[str, pd.DataFrame], names: Sequence[str], base: str) -> pd.DataFrame:
+def findings(tables: Tables, names: Sequence[str], base: str) -> pd.DataFrame:
     """Each detector: smallest leak, false alarms, conditions that it takes for a leak, and where it stays silent."""
     found, conditions = tables["detection"], tables["conditions"].set_index("condition")
     labels, changed = conditions["label"], in_groups(conditions, *CHANGED)
@@ -132,7 +130,7 @@ def named(labels: Sequence[str]) -> str:
     return f"{', '.join(labels[:MOST_NAMED])}{more}" or "none"
 
 
-def by_size(page: Page, tables: Mapping[str, pd.DataFrame], names: Sequence[str], base: str) -> None:
+def by_size(page: Page, tables: Tables, names: Sequence[str], base: str) -> None:
     """Share found at 1 % false alarms, and error of the size beside its bound, over the leak."""
     rows = tables["detection"].query("condition == @base and level > @HEALTHY").sort_values("level")
     axes = panel(ylabel="windows in which it is found, %", ylim=(0.0, 103.0))
