@@ -16,6 +16,7 @@ from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.task.configuration import TaskConfig
 
 Given = TaskConfig | Mapping[str, Any] | str | Path | None  # what the environments take as a task
+Info = dict[str, Any]  # what the controller must not know, for evaluation
 NAMED = ("config", "task", "rig", "plant")  # keywords with possible file names
 
 

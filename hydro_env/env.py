@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hydro_env.arguments import numbers, shown, whole_number
 from hydro_env.axes import COLUMN, AxesState
-from hydro_env.common import AxisEnvironment, Given
+from hydro_env.common import AxisEnvironment, Given, Info
 from hydro_env.errors import ConfigurationError
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import task_config
@@ -173,9 +173,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.rigs[0].control_period)}
         self._task = self.rigs[0]  # of the present episode
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
         """Begin an episode; see the class for ``options``.
 
         Raises:
@@ -194,7 +192,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
         self._record_frame()
         return self._axes.observation[0].copy(), self._info(self._axes.numbers[0].tolist())
 
-    def step(self, action: Singles) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Singles) -> tuple[Observation, float, bool, bool, Info]:
         """Advance one control period with a command in [−1, 1], shape (1,).
 
         Raises:
@@ -235,7 +233,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
         self._require_begun("parameters")
         return self._axes.parameters(0)
 
-    def _info(self, row: list[float]) -> dict[str, Any]:
+    def _info(self, row: list[float]) -> Info:
         if self._info_kind is False:
             return {}
         flow, position, reference = row[_FLOW], row[_POSITION], row[_REFERENCE]

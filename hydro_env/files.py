@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, model_validator
 
 from hydro_env.errors import ConfigurationError
 from hydro_env.field_mistakes import described
@@ -62,6 +62,7 @@ class Group(BaseModel, metaclass=_Checked):
 
 
 ModelType = TypeVar("ModelType", bound=BaseModel)
+whole_group = model_validator(mode="after")  # marks a check of a group whose fields are valid
 
 
 def validate(model: type[ModelType], values: Any, source: str, within: str = "") -> ModelType:

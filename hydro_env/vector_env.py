@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hydro_env.arguments import numbers, shown, whole_number
 from hydro_env.axes import AxesState
-from hydro_env.common import AxisEnvironment, Given
+from hydro_env.common import AxisEnvironment, Given, Info
 from hydro_env.errors import ConfigurationError
 from hydro_env.reset_options import options_given
 from hydro_env.task.configuration import task_config
@@ -84,13 +84,11 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._everyone = np.arange(self.num_envs, dtype=np.int64)
-        self._present = np.ones(self.num_envs, dtype=np.bool_)
+        self._present = np.ones(self.num_envs, dtype=bool)
         self._present.flags.writeable = False
-        self._ended = np.zeros(self.num_envs, dtype=np.bool_)
+        self._ended = np.zeros(self.num_envs, dtype=bool)
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: Any = None
-    ) -> tuple[Singles, dict[str, Any]]:
+    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: Any = None) -> tuple[Singles, Info]:
         """Begin an episode on every axis, or on those of ``options["reset_mask"]``.
 
         Args:
@@ -152,7 +150,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
             if value is not None:
                 self._axes.seed(int(axis), seeding.np_random(value)[0])
 
-    def step(self, actions: Singles) -> tuple[Singles, Floats, Mask, Mask, dict[str, Any]]:
+    def step(self, actions: Singles) -> tuple[Singles, Floats, Mask, Mask, Info]:
         """Advance every axis by one control period.
 
         Args:
@@ -196,7 +194,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         info = self._info(self._everyone) | final
         return self._axes.observation.copy(), reward, terminated, truncated, info
 
-    def _finish(self) -> dict[str, Any]:
+    def _finish(self) -> Info:
         """Restart the axes that ended in this step; returns their last observation and info."""
         mask, ended = self._ended, np.flatnonzero(self._ended)
         last: Array
@@ -209,7 +207,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
                 last[axis] = self._axes.observation[axis].copy()
             final = {"final_info": self._info(ended), "_final_info": mask.copy()}
         self._begin(ended)
-        self._ended = np.zeros(self.num_envs, dtype=np.bool_)
+        self._ended = np.zeros(self.num_envs, dtype=bool)
         return {"final_obs": last, "_final_obs": mask.copy(), **final}
 
     def set_state(self, state: AxesState) -> None:
@@ -221,13 +219,13 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         super().set_state(state)
         self._ended = self._axes.ended()
 
-    def _info(self, axes: Indices) -> dict[str, Any]:
+    def _info(self, axes: Indices) -> Info:
         """Arrays over all axes, each with a mask of the axes to which it applies; zero elsewhere, as in Gymnasium."""
         if self._info_kind is False:
             return {}
         present = self._present
         if len(axes) < self.num_envs:
-            present = np.zeros(self.num_envs, dtype=np.bool_)
+            present = np.zeros(self.num_envs, dtype=bool)
             present[axes] = True
 
         def column(name: str) -> Array:
@@ -243,7 +241,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         family, failure = column("reference_family").astype(np.int64), column("failure").astype(np.int64)
         costs = column("costs")
         terms = {name: -costs[:, index] for index, name in enumerate(REWARD_TERMS)}
-        values: dict[str, Any] = {
+        values: Info = {
             "leakage_resistance": resistance,
             "leakage_flow_lpm": flow,
             "leakage_class": column("leak_class").astype(np.int64),
@@ -288,9 +286,9 @@ def _names_of(codes: Indices, known: Sequence[str], present: Mask) -> NDArray[np
     return names
 
 
-def _present_values(values: Mapping[str, Floats], present: Mask) -> dict[str, Any]:
+def _present_values(values: Mapping[str, Floats], present: Mask) -> Info:
     """Each array where an axis is present and its value is not 0, and a mask of those axes; nothing without any."""
-    found: dict[str, Any] = {}
+    found: Info = {}
     for name, array in values.items():
         exists = present & (array != 0.0)
         if exists.any():

@@ -152,7 +152,7 @@ def to_vector(parameters: PlantParameters) -> Floats:
         group, field = path.split(".")
         value = getattr(getattr(parameters, group), field)
         values.append(MODEL_CODES[path].index(value) if path in MODEL_CODES else value)
-    return np.array(values, dtype=np.float64)
+    return np.array(values, dtype=float)
 
 
 def from_vector(vector: Floats) -> PlantParameters:

@@ -172,7 +172,7 @@ def simulate(
         states = reference_states(start, coefficients, inputs, sample_time, relative_tolerance, structure)
     else:
         raise HydroError(f"method = {method!r}: must be 'fast' or 'radau'")
-    time = sample_time * np.arange(len(inputs) + 1, dtype=np.float64)
+    time = sample_time * np.arange(len(inputs) + 1, dtype=float)
     _check_range(parameters, time, states)
     acting = np.append(inputs, inputs[-1:])
     derived = functions_of(structure).derived(states, coefficients[None])
@@ -198,7 +198,7 @@ def _check_range(parameters: PlantParameters, time: Floats, states: Floats) -> N
 
 
 def _checked_input(voltage: ArrayLike) -> Floats:
-    inputs = np.asarray(voltage, dtype=np.float64)
+    inputs = np.asarray(voltage, dtype=float)
     if inputs.ndim != 1 or len(inputs) == 0:
         raise HydroError(f"voltage: must be one row of at least one value, not of shape {inputs.shape}")
     wrong = ~(np.abs(inputs) <= FULL_VOLTAGE)

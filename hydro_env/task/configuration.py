@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_serializer, field_validator, model_validator
+from pydantic import Field, field_serializer, field_validator
 
 from hydro_env.errors import ConfigurationError, UnknownKeyError
-from hydro_env.files import Group, read_yaml, write_yaml
+from hydro_env.files import Group, read_yaml, whole_group, write_yaml
 from hydro_env.folders import config_file
 from hydro_env.mistakes import known_name
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters
@@ -53,7 +53,7 @@ class LeakageDraw(TaskGroup):
     )
     start_range: Range = interval((0.25, 0.75), "1", "onset or start of growth, as a share of the episode", 0.0, 1.0)
 
-    @model_validator(mode="after")
+    @whole_group
     def _classes_rise(self) -> LeakageDraw:
         low, middle, high = self.class_bounds
         if not 0.0 < low < middle < high <= LEAKAGE_LIMIT:
@@ -82,7 +82,7 @@ class References(TaskGroup):
         (0.005, 0.010, 0.020, 0.040), description="s; the observation contains the reference this far ahead"
     )
 
-    @model_validator(mode="after")
+    @whole_group
     def _consistent(self) -> References:
         if not sum(self.weights.values()) > 0.0:
             raise ValueError("weights: at least one family needs a positive weight")
@@ -209,7 +209,7 @@ class TaskConfig(TaskGroup):
         absent = [path for path in default_randomisation() if path not in drawn] if drawn else []
         return {**drawn, **dict.fromkeys(absent)}
 
-    @model_validator(mode="after")
+    @whole_group
     def _consistent(self) -> TaskConfig:
         longest = MOST_LATE * self.control_period
         if self.command_latency > longest:

@@ -2,9 +2,9 @@
 
 from typing import Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from hydro_env.files import Group
+from hydro_env.files import Group, whole_group
 from hydro_env.units import Number
 
 Range = tuple[Number, Number]
@@ -18,7 +18,7 @@ def interval(default: tuple[float, float], unit: str, description: str, low: flo
 class TaskGroup(Group):
     """A group whose intervals rise within their bounds."""
 
-    @model_validator(mode="after")
+    @whole_group
     def _intervals_rise(self) -> Self:
         for name, info in type(self).model_fields.items():
             extra = info.json_schema_extra

@@ -85,9 +85,9 @@ _FAMILY_NUMBER = 1_000_000  # index of the number for the family, beyond those t
 @inline
 def _draw_plant(physical, key, plant, draws, fixed):
     """Physical parameters of an episode: base and drawn values, except where the caller fixed them (not NaN)."""
-    for index in range(fixed.shape[0]):
+    for index in range(len(fixed)):
         physical[index] = plant[index] if math.isnan(fixed[index]) else fixed[index]
-    for number in range(draws.shape[0]):
+    for number in range(len(draws)):
         draw = draws[number]
         if draw.parameter < 0:
             break
@@ -110,7 +110,7 @@ def _draw_family(key, fixed, weights):
         return fixed
     share = uniform(key, _FAMILY_NUMBER)
     family = 0
-    while family < weights.shape[0] - 1 and share >= weights[family]:
+    while family < len(weights) - 1 and share >= weights[family]:
         share -= weights[family]
         family += 1
     return family
@@ -120,7 +120,7 @@ def _draw_family(key, fixed, weights):
 def _reaches(row, c, f):
     """Whether the supply can hold each position of a user's reference against spring and external force."""
     reaches = True
-    for sample_number in range(row.shape[0]):
+    for sample_number in range(len(row)):
         spring = c.spring_stiffness * row[sample_number] + c.external_force
         if spring > f.force_out or -spring > f.force_in:
             reaches = False
@@ -188,13 +188,13 @@ def _begin(sources, everything, lines):
         assert sources >= 0  # keys numba's cache
         states = plant[:, :FIRST_COEFFICIENT]
         coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
-        for number in range(chosen.shape[0]):
+        for number in range(len(chosen)):
             axis = chosen[number]
             row = record[axis]
             root, episode = chances.seeds[axis].root, chances.seeds[axis].episode
             rig = fixed.rig[axis]
             if rig < 0:
-                rig = np.int64(task.shape[0] * uniform(source_key(root, episode, RIG), 0))
+                rig = np.int64(len(task) * uniform(source_key(root, episode, RIG), 0))
             row.rig = rig
             settings = task[rig]
             reference = references[axis, : settings.samples]
@@ -202,7 +202,7 @@ def _begin(sources, everything, lines):
             family = _draw_family(reference_key, fixed.family[axis], chances.family_weights)
             row.reference_family = family
             if family == USER_FAMILY:
-                for sample_number in range(reference.shape[0]):
+                for sample_number in range(len(reference)):
                     reference[sample_number] = fixed.user_reference[axis, sample_number]
             row.noise_key = source_key(root, episode, NOISE)
             draw_biases(row, settings)

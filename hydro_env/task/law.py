@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
+from hydro_env.files import whole_group
 from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.units import Number, Whole, quantity
 
@@ -93,7 +94,7 @@ class RigLaw(TaskGroup):
     )
     latency: Range = interval((0.5, 5.0), "ms", "at most one period", 0.01, 20.0)
 
-    @model_validator(mode="after")
+    @whole_group
     def _can_be_drawn(self) -> RigLaw:
         for name in ("cylinders", "supplies", "rated_flows", "pressure_ranges", "periods"):
             if not getattr(self, name):

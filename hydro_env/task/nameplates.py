@@ -20,6 +20,8 @@ ASSUMED_ACCURACY = 2e-4  # of the stroke: largest constant error of the position
 COIL_RESISTANCE = 2.5  # Ω; only its ratio to the amplifier's gain counts
 BANDWIDTH = 502.654824574367  # rad/s; 80 Hz
 
+Figures = Mapping[str, Any]  # numbers in SI, and texts, by the keys of the questions
+
 FIELDS = {
     "bore": "cylinder.bore_diameter",
     "rod": "cylinder.rod_diameter",
@@ -88,12 +90,12 @@ RANGES: dict[str, dict[str, Any]] = {
 """Distributions of the uncertain values of a rig of which little is known, SI."""
 
 
-def rig_of(figures: Mapping[str, Any], source: str) -> Rig:
+def rig_of(figures: Figures, source: str) -> Rig:
     """The rig that figures of nameplates describe (:func:`rig_values`); an error names ``source``."""
     return rig_from(rig_values(figures), source)
 
 
-def rig_values(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def rig_values(figures: Figures) -> dict[str, dict[str, Any]]:
     """The content of a rig's file, in SI, from the figures of its nameplates.
 
     Args:
@@ -146,7 +148,7 @@ def rig_values(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return values
 
 
-def _piston_mass(figures: Mapping[str, Any]) -> float:
+def _piston_mass(figures: Figures) -> float:
     """Mass in kg of a steel rod of 1.2 strokes and a piston of half a bore."""
     bore, rod = 0.25 * math.pi * figures["bore"] ** 2, 0.25 * math.pi * figures["rod"] ** 2
     return float(STEEL * (1.2 * figures["stroke"] * rod + 0.5 * figures["bore"] * bore))
@@ -189,7 +191,7 @@ def lap_and_knee(curve: str) -> tuple[float, float, float, float]:
     return float(overlap[best]), float(knee[best]), float(f"{opening[best]:.3g}"), float(rest[best].max())
 
 
-def _valve(figures: Mapping[str, Any]) -> dict[str, Any]:
+def _valve(figures: Figures) -> dict[str, Any]:
     curve, lap_of_curve = {}, 0.0
     if "flow_curve" in figures:
         lap_of_curve, position, opening, _ = lap_and_knee(figures["flow_curve"])
@@ -232,7 +234,7 @@ def _valve(figures: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _lines(figures: Mapping[str, Any]) -> dict[str, float]:
+def _lines(figures: Figures) -> dict[str, float]:
     volume = 0.0
     if "line_length" in figures:
         volume = rounded(0.25 * math.pi * figures["line_diameter"] ** 2 * figures["line_length"], "cm³")
@@ -244,11 +246,11 @@ def _lines(figures: Mapping[str, Any]) -> dict[str, float]:
     return lines
 
 
-def _has_hose(figures: Mapping[str, Any]) -> bool:
+def _has_hose(figures: Figures) -> bool:
     return "line_length" in figures and figures.get("line_kind") == "hose"
 
 
-def _supply(figures: Mapping[str, Any]) -> dict[str, Any]:
+def _supply(figures: Figures) -> dict[str, Any]:
     supply = {"model": "constant", "pressure": figures["supply_pressure"], "tank_pressure": BAR}
     if "pump_flow" not in figures:
         return supply
@@ -262,7 +264,7 @@ def _supply(figures: Mapping[str, Any]) -> dict[str, Any]:
     return supply | {"model": "accumulator"} | gas
 
 
-def _ranges(figures: Mapping[str, Any], values: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _ranges(figures: Figures, values: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """The distributions of the uncertain values; what is given has a narrower one, or none."""
     ranges = dict(RANGES)
     if "dead_volume" in figures:
@@ -298,12 +300,12 @@ def _ranges(figures: Mapping[str, Any], values: Mapping[str, Mapping[str, Any]])
     return {path: draw for path, draw in ranges.items() if not known.get(path)}
 
 
-def position_error(figures: Mapping[str, Any]) -> float:
+def position_error(figures: Figures) -> float:
     """Largest constant error of the position sensor, m."""
     return float(figures.get("position_accuracy", ASSUMED_ACCURACY) * figures["stroke"])
 
 
-def _sensors(figures: Mapping[str, Any]) -> dict[str, Any]:
+def _sensors(figures: Figures) -> dict[str, Any]:
     """Fields of the sensors that were given; what is not given follows from the rig."""
     sensors = {}
     if "pressure_sensors" in figures:

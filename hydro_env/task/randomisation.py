@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field
 
-from hydro_env.files import Group
+from hydro_env.files import Group, whole_group
 from hydro_env.mistakes import did_you_mean
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_LIMITS, PARAMETER_PATHS, PARAMETER_UNITS, PlantParameters
 from hydro_env.plant.parts.leakage import LEAK_LAWS
@@ -36,7 +36,7 @@ class Distribution(Group):
     otherwise: Number | None = None
     otherwise_probability: Number = Field(0.0, ge=0.0, le=1.0)
 
-    @model_validator(mode="after")
+    @whole_group
     def _consistent(self) -> Distribution:
         given = [name for name in FORMS if getattr(self, name) is not None]
         if len(given) != 1:

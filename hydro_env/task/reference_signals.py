@@ -80,7 +80,7 @@ def fill_step(row, key, start, period, f, limits):
     value = start
     change = between(key, 0, 0.05, 0.3)
     draw = 1
-    for sample in range(row.shape[0]):
+    for sample in range(len(row)):
         if sample * period >= change:
             size = between(key, draw, limits.step_range[0], limits.step_range[1])
             up = value + size <= f.high
@@ -102,7 +102,7 @@ def fill_point_to_point(row, key, start, period, f, limits):
     origin, target = start, start
     begin, duration = 0.0, between(key, 0, 0.05, 0.25)
     draw = 1
-    for sample in range(row.shape[0]):
+    for sample in range(len(row)):
         time = sample * period
         while time >= begin + duration:
             begin += duration
@@ -127,7 +127,7 @@ def fill_ramp(row, key, start, period, f, limits):
     value, target, speed = start, start, 0.0
     wait = between(key, 0, 0.05, 0.25)
     draw = 1
-    for sample in range(row.shape[0]):
+    for sample in range(len(row)):
         row[sample] = value
         if wait > 0.0:
             wait -= period
@@ -181,7 +181,7 @@ def fill_sine(row, key, start, period, f, limits):
     inwards = _inwards(start, f)
     amplitude = _largest_sine(start, inwards, frequency, f, limits) * between(key, 1, 0.4, 1.0)
     amplitude = amplitude if uniform(key, 2) < 0.5 or inwards != 0.0 else -amplitude
-    for sample in range(row.shape[0]):
+    for sample in range(len(row)):
         row[sample] = start + amplitude * _swing(sample * period, frequency, inwards)
 
 
@@ -189,13 +189,13 @@ def fill_sine(row, key, start, period, f, limits):
 def fill_multi_sine(row, key, start, period, f, limits):
     """Four sines of different frequency and sign that share range, speed and acceleration."""
     inwards = _inwards(start, f)
-    for sample in range(row.shape[0]):
+    for sample in range(len(row)):
         row[sample] = start
     for number in range(4):
         frequency = log_between(key, number, limits.frequency_range[0], limits.frequency_range[1])
         amplitude = 0.25 * _largest_sine(start, inwards, frequency, f, limits) * between(key, 4 + number, 0.6, 1.0)
         amplitude = amplitude if uniform(key, 8 + number) < 0.5 or inwards != 0.0 else -amplitude
-        for sample in range(row.shape[0]):
+        for sample in range(len(row)):
             row[sample] += amplitude * _swing(sample * period, frequency, inwards)
 
 
@@ -207,7 +207,7 @@ def fill_start_stop(row, key, start, period, f, limits):
     running = False
     left = between(key, 1, 0.05, 0.2)
     draw = 2
-    for sample in range(row.shape[0]):
+    for sample in range(len(row)):
         row[sample] = value
         left -= period
         if running:
@@ -228,8 +228,8 @@ def fill_pause(row, key, start, period, f, limits):
     speed = _speed_limit(start, target, f, limits) * between(key, 1, 0.4, 1.0)
     distance = abs(target - start)
     duration = max(1.875 * distance / speed, math.sqrt(5.774 * distance / limits.acceleration_limit), 2.0 * period)
-    begin = max((row.shape[0] - 1) * period - between(key, 2, 0.8, 1.0), 0.05)
-    for sample in range(row.shape[0]):
+    begin = max((len(row) - 1) * period - between(key, 2, 0.8, 1.0), 0.05)
+    for sample in range(len(row)):
         share = min(max((sample * period - begin) / duration, 0.0), 1.0)
         row[sample] = start + (target - start) * share * share * share * (10.0 + share * (6.0 * share - 15.0))
 
@@ -240,7 +240,7 @@ def fill_creep(row, key, start, period, f, limits):
     target = _farther_end(start, f)
     speed = _speed_limit(f.low, f.high, f, limits) * log_between(key, 0, 0.005, 0.015)
     begin = between(key, 1, 0.05, 0.25)
-    for sample in range(row.shape[0]):
+    for sample in range(len(row)):
         travel = min(max(sample * period - begin, 0.0) * speed, abs(target - start))
         row[sample] = start + (travel if target > start else -travel)
 
@@ -251,7 +251,7 @@ def fill_staircase(row, key, start, period, f, limits):
     size = limits.step_range[0] * log_between(key, 0, 0.025, 0.1)
     value, change = start, between(key, 1, 0.05, 0.25)
     draw = 2
-    for sample in range(row.shape[0]):
+    for sample in range(len(row)):
         if sample * period >= change:
             up = uniform(key, draw) < 0.5
             rise = value + size <= f.high if up else value - size < f.low

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from hydro_env.files import Group
+from hydro_env.files import Group, whole_group
 from hydro_env.units import Number, in_si, quantity
 
 
@@ -21,7 +21,7 @@ class Sensor(Group):
     high: Number = Field(ge=-1e9, le=1e9, description="upper end of the range, unit of the signal")
     fitted: bool = Field(True, description="false: rig and observation lack this sensor")
 
-    @model_validator(mode="after")
+    @whole_group
     def _range_rises(self) -> Sensor:
         if not self.low < self.high:
             raise ValueError(f"low = {self.low:g} must be below high = {self.high:g}")
@@ -74,13 +74,13 @@ class Sensors(Group):
     )
     velocity_filter_time: Number = quantity(0.010, "s", "first-order filter of the differenced position", 0.0, 1.0)
 
-    @model_validator(mode="after")
+    @whole_group
     def _position_is_measured(self) -> Sensors:
         if not self.position.fitted:
             raise ValueError("position.fitted = false: an axis without position sensor cannot follow a reference")
         return self
 
-    @model_validator(mode="after")
+    @whole_group
     def _one_difference(self) -> Sensors:
         if self.differential_pressure and (self.pressure_b.fitted or not self.pressure_a.fitted):
             raise ValueError("differential_pressure: true needs pressure_a.fitted: true and pressure_b.fitted: false")

@@ -117,7 +117,7 @@ class LeakAlarm:
             mean=np.zeros((count, len(Activity))),
             seen=np.zeros((count, len(Activity))),
             total=np.zeros(count),
-            alarm=np.zeros(count, dtype=np.bool_),
+            alarm=np.zeros(count, dtype=bool),
         )
 
     def update(self, look: Reading, activity: NDArray[np.int8], state: AlarmState) -> tuple[Alarm, AlarmState]:

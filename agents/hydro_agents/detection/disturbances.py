@@ -85,7 +85,7 @@ class Disturbances(NamedTuple):
 
 def drawn(generator: np.random.Generator, kinds: NDArray[np.str_], steps: int, period: float) -> Disturbances:
     """Disturbances of axes, one kind each; ``steps`` control periods of ``period`` s."""
-    time = period * np.arange(steps, dtype=np.float64)
+    time = period * np.arange(steps, dtype=float)
     course = np.zeros((len(kinds), len(NOTICEABLE), steps))
     for axis, name in enumerate(kinds):
         kind = DISTURBANCES[name]

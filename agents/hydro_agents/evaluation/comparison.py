@@ -65,9 +65,9 @@ class Grid:
         situations = cases[["condition", "leakage_flow_lpm"]].drop_duplicates()
         self.family: NDArray[np.str_] = plants["family"].to_numpy().astype(str)
         self.condition: NDArray[np.str_] = situations["condition"].to_numpy().astype(str)
-        self.leak = situations["leakage_flow_lpm"].to_numpy(dtype=np.float64)
-        self.all_plants: Mask = np.ones(len(plants), dtype=np.bool_)
-        self.all_situations: Mask = np.ones(len(situations), dtype=np.bool_)
+        self.leak = situations["leakage_flow_lpm"].to_numpy(dtype=float)
+        self.all_plants: Mask = np.ones(len(plants), dtype=bool)
+        self.all_situations: Mask = np.ones(len(situations), dtype=bool)
         self._plant = _places(plants, cases)
         self._situation = _places(situations, cases)
         self._cases = cases
@@ -81,7 +81,7 @@ class Grid:
             own = self._of[controller]
             seeds, seed = np.unique(self._cases["training_seed"].to_numpy()[own], return_inverse=True)
             filled = np.full((len(seeds), len(self.all_plants), len(self.all_situations)), np.nan)
-            filled[seed, self._plant[own], self._situation[own]] = self._cases[metric].to_numpy(dtype=np.float64)[own]
+            filled[seed, self._plant[own], self._situation[own]] = self._cases[metric].to_numpy(dtype=float)[own]
             self._made[controller, metric] = filled
         return self._made[controller, metric]
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hydro_agents.controllers.by_name import imported
 from hydro_agents.detection.detector import Detector, Windows, cut, measured_run
@@ -18,6 +18,7 @@ from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
 from hydro_agents.running.tasks import Surroundings, between
 from hydro_env import TaskConfig
+from hydro_env.files import whole_group
 from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
@@ -50,7 +51,7 @@ class LeakCondition(Condition):
         {}, description="magnitude of each fault, by name"
     )
 
-    @model_validator(mode="after")
+    @whole_group
     def _known(self) -> LeakCondition:
         for name, size in self.faults.items():
             low, high = fault_limits(name)
@@ -77,7 +78,7 @@ class LeakProtocol(Protocol[LeakCondition]):
     bound_windows: int = Field(24, ge=1, le=10_000, description="of them, per level")
     base: Name = Field("ordinary", description="the condition with all leak sizes, to which the others are compared")
 
-    @model_validator(mode="after")
+    @whole_group
     def _consistent(self) -> LeakProtocol:
         refuse_unknown("base", (self.base,), self.conditions, "condition")
         refuse_unknown("bound_conditions", self.bound_conditions, self.conditions, "condition")

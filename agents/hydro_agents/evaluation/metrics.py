@@ -172,7 +172,7 @@ def reversals(command: Array) -> int:
     """Number of turning points at which the command swings back by more than :data:`REVERSAL_THRESHOLD`."""
     count, direction = 0, 0
     extreme = low = high = float(command[0])
-    for value in np.asarray(command, dtype=np.float64).tolist():
+    for value in np.asarray(command, dtype=float).tolist():
         if direction == 0:
             low, high = min(low, value), max(high, value)
             if high - low > REVERSAL_THRESHOLD:
@@ -194,7 +194,7 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
         getattr(rollout, name)[case] for name in ("position", "reference", "command", "spool", "supply_power", "reward")
     )
     failed, bias = rollout.failed_at[case] >= 0, float(rollout.position_bias[case])
-    error = np.asarray(reference, dtype=np.float64) - position
+    error = np.asarray(reference, dtype=float) - position
     settling = []
     offsets = []
     beyond = []
@@ -225,8 +225,8 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
         "steady_state_error_sensor_mm": 1e3 * mean([abs(offset - bias) for offset in offsets]),
         "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),
         "reversals_per_s": reversals(command) / (period * len(command)),
-        "supply_energy_j": float(np.sum(power, dtype=np.float64)) * period,
-        RETURN: float(np.sum(reward, dtype=np.float64)),
+        "supply_energy_j": float(np.sum(power, dtype=float)) * period,
+        RETURN: float(np.sum(reward, dtype=float)),
         "failed": float(failed),
     }
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Cell, Condition, Protocol, beginning
@@ -21,7 +21,7 @@ from hydro_agents.running.limit_cycles import standstill_metrics, standstill_tas
 from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
 from hydro_agents.running.tasks import between, mappings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
-from hydro_env.files import Group, read_yaml
+from hydro_env.files import Group, read_yaml, whole_group
 from hydro_env.mistakes import kept, known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.reference_signals import MOVING_FAMILIES
@@ -91,7 +91,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
         (0.03, 1.0, 8.0), description="l/min; search for limit cycles under each condition without its own leak levels"
     )
 
-    @model_validator(mode="after")
+    @whole_group
     def _possible(self) -> RobustnessProtocol:
         if "all" in self.conditions:
             raise ValueError("conditions: 'all' is the name of their mean")

@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, SerializeAsAny, StringConstraints, ValidationInfo, field_validator, model_validator
+from pydantic import Field, SerializeAsAny, StringConstraints, ValidationInfo, field_validator
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
@@ -26,7 +26,7 @@ from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import mappings, read_task, timed_task
 from hydro_agents.running.text import NAME_RULE
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
-from hydro_env.files import Group, read_yaml, validate
+from hydro_env.files import Group, read_yaml, validate, whole_group
 from hydro_env.folders import config_file
 from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
 from hydro_env.task.configuration import task_config
@@ -99,7 +99,7 @@ class StudySettings(Group):
     )
     evaluation: ProtocolSettings = ProtocolSettings()
 
-    @model_validator(mode="after")
+    @whole_group
     def _corrections(self) -> StudySettings:
         earlier: list[str] = []
         for name, entry in self.controllers.items():

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field
 
-from hydro_env.files import Group
+from hydro_env.files import Group, whole_group
 from hydro_env.task.law import RigLaw
 from hydro_env.units import Whole
 
@@ -65,7 +65,7 @@ class PPOSettings(Group):
         -3.0, ge=-10.0, le=2.0, description="end of a linear schedule; the gradient alone would reduce it too early"
     )
 
-    @model_validator(mode="after")
+    @whole_group
     def _of_a_correction(self) -> Self:
         if self.see_estimates and not self.residual:
             raise ValueError("see_estimates: needs residual: true, a controller that the policy corrects")
@@ -80,7 +80,7 @@ class PPOSettings(Group):
                 raise ValueError(f"axes = {self.axes}: must be a multiple of law.count = {self.law.count}")
         return self
 
-    @model_validator(mode="after")
+    @whole_group
     def _batches(self) -> PPOSettings:
         rollout = self.axes * self.steps_per_rollout
         if rollout > LARGEST_ROLLOUT:

@@ -182,7 +182,7 @@ def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any)
         failed_at[alive & terminated] = step
     env.close()
     return Rollout(
-        time=rig.control_period * np.arange(1, steps + 1, dtype=np.float64),
+        time=rig.control_period * np.arange(1, steps + 1, dtype=float),
         reference=reference,
         failed_at=failed_at,
         position_bias=bias,
@@ -223,7 +223,7 @@ def _act(
     when = f"in a batch of {len(cases)} from {cases.describe(0)}, at {time:.3f} s"
     try:
         commands, memory = controller.predict(observation, memory, started, True)
-        action = np.asarray(commands, dtype=np.float64)
+        action = np.asarray(commands, dtype=float)
     except (Exception, SystemExit) as error:  # sys.exit() in a controller must not end the command as if all were well
         raise ControllerError(f"{when}: predict returned no pair of commands and state: {reason(error)}") from error
     if action.shape != (len(cases), 1):

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group, validate
+from hydro_env.files import Group, validate, whole_group
 from hydro_env.mistakes import did_you_mean, unknown
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.task.configuration import task_config
@@ -88,7 +88,7 @@ class Surroundings(Group):
     bias_factor: Factor = Field(1.0, description="on the largest bias of every sensor")
     rig: str | None = Field(None, description="another rig: a name in configs/rigs, or a path")
 
-    @model_validator(mode="after")
+    @whole_group
     def _paths_exist(self) -> Surroundings:
         for name in ("parameters", "factors"):
             for path in getattr(self, name):

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pydantic import model_validator
-
 from hydro_env.compiling import inline
-from hydro_env.files import Group
+from hydro_env.files import Group, whole_group
 from hydro_env.plant.kinks import FAR
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE, VAPOUR_PRESSURE
 from hydro_env.units import Number, quantity, written
@@ -29,7 +27,7 @@ class Cylinder(Group):
     end_stop_stiffness: Number = quantity(1e7, "N/m", "assumed", 1e4, 1e10)
     end_stop_damping: Number = quantity(1e4, "N s/m", "assumed", 0.0, 1e7)
 
-    @model_validator(mode="after")
+    @whole_group
     def _rod_fits_in_bore(self) -> Cylinder:
         for name in ("rod_diameter", "rod_diameter_a"):
             if getattr(self, name) >= self.bore_diameter:

@@ -6,10 +6,10 @@ import math
 from enum import StrEnum
 from typing import NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hydro_env.compiling import inline
-from hydro_env.files import Group
+from hydro_env.files import Group, whole_group
 from hydro_env.plant.kinks import FAR
 from hydro_env.units import Number, quantity
 
@@ -36,7 +36,7 @@ class Friction(Group):
     bristle_stiffness: Number = quantity(5e6, "N/m", "assumed; lugre: seal before it slides", 1e3, 1e10)
     bristle_damping: Number = quantity(1e3, "N s/m", "assumed; lugre: of the seal's deflection", 0.0, 1e7)
 
-    @model_validator(mode="after")
+    @whole_group
     def _breakaway_is_the_peak(self) -> Friction:
         if self.model == FrictionModel.LUGRE and self.coulomb_force <= 0.0:
             raise ValueError("coulomb_force = 0 N must be above 0 with model lugre; model none has no friction")

@@ -10,10 +10,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pydantic import model_validator
-
 from hydro_env.compiling import inline, merged, tuple_replacer
-from hydro_env.files import Group
+from hydro_env.files import Group, whole_group
 from hydro_env.plant.parts.chambers import chamber_volumes, pressure_rate, pressure_within_limits, time_to_fall
 from hydro_env.plant.parts.leakage import external_leakage, internal_leakage
 from hydro_env.plant.states import LineState, Structure, state_kind
@@ -36,7 +34,7 @@ class Lines(Group):
         """Whether pressure travels through the lines as a wave."""
         return self.length_a > 0.0
 
-    @model_validator(mode="after")
+    @whole_group
     def _both_lines(self) -> Lines:
         if (self.length_a > 0.0) != (self.length_b > 0.0):
             raise ValueError(f"length_a = {self.length_a:g} m, length_b = {self.length_b:g} m: give both, or none")

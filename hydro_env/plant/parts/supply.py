@@ -5,10 +5,10 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hydro_env.compiling import inline
-from hydro_env.files import Group
+from hydro_env.files import Group, whole_group
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 from hydro_env.units import Number, quantity, written
 
@@ -37,7 +37,7 @@ class Supply(Group):
     precharge_pressure: Number = quantity(55e5, "Pa", "assumed", 1e4, 1e8)
     polytropic_index: Number = quantity(1.3, "1", "assumed", 1.0, 1.7)
 
-    @model_validator(mode="after")
+    @whole_group
     def _supply_above_tank(self) -> Supply:
         if self.pressure <= self.tank_pressure:
             tank = written(self.tank_pressure, "Pa")
