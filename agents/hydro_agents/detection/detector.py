@@ -318,7 +318,7 @@ class Detector(Protocol):
 def logit(probability: ArrayLike) -> Floats:
     """Logarithm of the odds, finite for 0 and 1."""
     inside = np.clip(np.asarray(probability, dtype=float), 1e-15, 1.0 - 1e-15)
-    return np.log(inside / (1.0 - inside))
+    return np.asarray(np.log(inside / (1.0 - inside)))
 
 
 def threshold_at_false_alarm_rate(healthy_scores: Array, rate: float) -> float:
