@@ -55,7 +55,6 @@ def _found_in(values: Any, mistake: Mapping[str, Any]) -> tuple[Path, Any]:
 
 
 def _message(root: Schema, path: Path, given: Any, mistake: Mapping[str, Any]) -> str:
-    """What is wrong and what is allowed."""
     schema = _schema_at(root, path)
     unit = f" (unit: {schema['unit']})" if "unit" in schema else ""
     if mistake["type"] == "extra_forbidden":

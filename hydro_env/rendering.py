@@ -231,6 +231,5 @@ class AxisRenderer:
 
 
 def _oil(share: float) -> Color:
-    """Colour of the oil at a share of the supply pressure."""
     red, green, blue = (round(float(np.interp(share, (0.0, 0.5, 1.0), channel))) for channel in zip(*OIL, strict=True))
     return red, green, blue

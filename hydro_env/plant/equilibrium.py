@@ -77,7 +77,6 @@ def _at_rest(position, pressure_a, spool_position, supply_pressure, c):
 
 @inline
 def _net_flows(s, c, lines):
-    """Net flow into each chamber."""
     return chamber_net_flows(s, edge_flows(lines.ports_at_rest(s, c), c), c, VOLUMES)
 
 

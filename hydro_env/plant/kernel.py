@@ -231,7 +231,6 @@ def _accept_or_repeat(work, strictness, accuracy, lanes):
 
 @inline
 def _begin_interval(work, lane, voltage, duration, first_step, lanes):
-    """Let a new command act in one lane."""
     c = _read_coefficients(work, lane)
     lanes.write_state(work, lane, command_changed(lanes.read_state(work, lane), c, voltage, lanes.parts))
     work[_VOLTAGE + lane] = voltage

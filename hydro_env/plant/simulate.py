@@ -209,7 +209,6 @@ def _checked_input(voltage: ArrayLike) -> Floats:
 
 
 def _positive(name: str, value: float, most: float) -> float:
-    """A number above 0."""
     if not 0.0 < value <= most:
         raise HydroError(f"{name} = {value!r}: must be positive, at most {most:g}")
     return value

@@ -153,7 +153,6 @@ def _rest(parameters: PlantParameters) -> dict[str, float] | None:
 
 
 def _why_no_rest(parameters: PlantParameters) -> str:
-    """Message with the figure that prevents holding any position, and its limit."""
     supply, leakage = parameters.supply, parameters.leakage
     fed = _rest(parameters.replace(supply={"model": "constant"}))
     if fed is not None:

@@ -169,7 +169,6 @@ def _at_the_valve(state, s, settings):
 
 @inline
 def _at_the_cylinder(state, s, settings):
-    """Pressures of the chambers, Pa."""
     return s.pressure_a, s.pressure_b
 
 

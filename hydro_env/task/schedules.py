@@ -80,7 +80,6 @@ def set_leak(row, coefficient, time, settings):
 
 @inline
 def _disturbed(key, settings):
-    """Whether the forces of the disturbance act in an episode."""
     return uniform(key, 7) < settings.disturbance.share
 
 

@@ -111,7 +111,6 @@ def _write_fleet(table: Path, folder: Path, overwrite: bool) -> None:
 
 
 def _all_figures() -> str:
-    """Every figure that the command takes, for its help."""
     lines = []
     for group, questions in groupby(QUESTIONS, lambda question: question.group):
         names = [f"- `{one.name}={one.example.replace(' ', '')}`: {one.what}" for one in questions]

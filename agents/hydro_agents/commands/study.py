@@ -196,7 +196,6 @@ def _controller(study: StudySettings, what: str, steps: int | None) -> _Part:
 
 
 def _trained(study: StudySettings, what: str) -> str:
-    """The trained controller of a study by its name or, if it is alone, kind."""
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.trainers import TRAINERS
 
@@ -230,7 +229,6 @@ def _gains(study: StudySettings, kind: str, steps: int | None) -> _Part:
 
 
 def _head(study: StudySettings, agents: dict[str, str]) -> _Part:
-    """The training of the leakage head on episodes under each controller."""
     from hydro_agents.running.jobs import RESULT_FILES
 
     study.leakage_head.check(study.task)

@@ -134,7 +134,6 @@ class PID(ClassicalController):
         return command + added
 
     def _before_compensation(self, command: Floats) -> Floats:
-        """The inverse of :meth:`_compensated`."""
         if not self._added:
             return command
         opening = command - self._null

@@ -224,7 +224,6 @@ class BalanceFit(NamedTuple):
 
 @inline
 def _begin(sheet, c, course, sums):
-    """Set the course to the start of a window, and the sums to zero."""
     course.travel[:] = 0.0
     course.slope[:] = 0.0
     course.filtered[:] = 0.0

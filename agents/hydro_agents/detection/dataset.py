@@ -134,7 +134,6 @@ class TrainingPlan:
         return chunks
 
     def _largest(self, controller: int, leak: str) -> int:
-        """Largest number of axes of a chunk."""
         if self.settings.law is None:
             largest = CHUNK
         elif controller == POLICY:
@@ -232,7 +231,6 @@ def _lengths(
 
 
 def _noise(generator: np.random.Generator) -> float:
-    """Noise of the sensors, as a factor on the task's."""
     noise = float(np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE))))
     return noise if generator.random() < NOISY else 1.0
 

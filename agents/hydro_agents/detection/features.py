@@ -259,7 +259,6 @@ _read_coefficients = tuple_reader(Coefficients)
 
 @inline
 def _write_fit(values, window, sheet, balance):
-    """Write the features of the fitted unknowns and their misfit."""
     for i in range(TOLD):
         values[i] = math.asinh(10.0 * (balance.estimate[window, i] - sheet.mean[i]) / sheet.spread[i])
         values[TOLD + i] = math.log10(balance.deviation[window, i] / sheet.spread[i] + 1e-6)

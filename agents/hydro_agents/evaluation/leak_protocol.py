@@ -155,7 +155,6 @@ def windows(protocol: LeakProtocol, chosen: Mapping[str, Detector]) -> Iterator[
 
 
 def _cells(protocol: LeakProtocol, name: str, reader: str, detector: Detector, samples: int) -> Iterator[Cell]:
-    """A detector on the windows of one condition, a cell per level."""
     condition, choice, digest = protocol.conditions[name], protocol.detectors[reader], fingerprint(detector)
     count = max(round(condition.share * choice.windows), 1)
     groups = [(level, count, False) for level in protocol.levels_in(name)]

@@ -70,7 +70,6 @@ _CELL = ["detector", "condition", "level"]
 
 
 def _cells(results: Results) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
-    """The windows of each detector, condition and level."""
     found = results.table("windows")
     if len(found):
         for key, frame in found.groupby(_CELL, sort=False):

@@ -204,7 +204,6 @@ class PolicyFeatures:
         return self._normalised([*seen, *own, changes]), state
 
     def _columns_of(self, names: tuple[str, ...]) -> Indices:
-        """Columns of signals in the observation."""
         return np.array([self.layout.index(name) for name in names])
 
     def _seen(self, inputs: Singles, signals: Singles, reference: Floats) -> list[Singles]:

@@ -320,7 +320,6 @@ def _array(tensor: Any) -> Singles:
 
 
 def _named(layers: Layers, normalisation: NamedTuple | None, lstm: LSTM | None) -> dict[str, Singles]:
-    """The tensors of a policy's file."""
     named = {}
     for number, (weight, bias) in enumerate(layers):
         named[f"layer{number}.weight"], named[f"layer{number}.bias"] = weight, bias

@@ -83,7 +83,6 @@ def _resonances(figures: Mapping[str, RigFigure]) -> list[tuple[float, str, floa
 
 
 def _watched(figures: Mapping[str, RigFigure], damping: float | str) -> list[str]:
-    """What a person must watch on a rig that works."""
     watch = []
     if "dead band" in figures:
         watch.append(

@@ -320,7 +320,6 @@ def new_rig(figures: Mapping[str, Any], source: str) -> tuple[str, Rig]:
 
 
 def _origins(texts: Mapping[str, str]) -> dict[str, str]:
-    """The origin of each value that is not given, by its path."""
     origins = dict(ORIGINS)
     if "step_time" in texts:
         origins["valve.slew_limit"] = f"computed: full stroke in {texts['step_time']}"

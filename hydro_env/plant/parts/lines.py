@@ -218,7 +218,6 @@ def _line_weights(c):
 
 @inline
 def _cavitation(nearest, s, rate):
-    """A cell begins to cavitate."""
     time_a = min(
         time_to_fall(s.line_a_pressure_1, rate.line_a_pressure_1),
         time_to_fall(s.line_a_pressure_2, rate.line_a_pressure_2),
