@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hydro_env.plant.linearisation import Linearisation, linearise
     from hydro_env.plant.parameters import PlantParameters
     from hydro_env.plant.simulate import Trajectory, simulate
-    from hydro_env.task.configuration import LEAKAGE_CLASSES, TaskConfig
+    from hydro_env.task.configuration import LEAKAGE_CLASSES, TaskConfig, task_config
     from hydro_env.task.reference_signals import REFERENCE_FAMILIES
     from hydro_env.units import flow_from_resistance, resistance_from_flow
     from hydro_env.vector_env import ServoHydraulicVectorEnv
@@ -49,6 +49,7 @@ _HOME = {
     "linearise": "plant.linearisation",
     "resistance_from_flow": "units",
     "simulate": "plant.simulate",
+    "task_config": "task.configuration",
 }
 """Module that defines each public name; the name is imported at its first use."""
 
@@ -71,6 +72,7 @@ __all__ = [
     "linearise",
     "resistance_from_flow",
     "simulate",
+    "task_config",
 ]
 
 

@@ -11,17 +11,10 @@ from hydro_env.plant.parts.load import piston_force
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 
-class ChamberVolumes(NamedTuple):
-    """Oil volumes of the two chambers with their dead volumes, m³."""
-
-    a: float
-    b: float
-
-
-def chamber_volumes(parameters: PlantParameters, position: float = 0.0) -> ChamberVolumes:
-    """Oil in both chambers at a position (m): V_a0 + A_a x and V_b0 − A_b x (8), (9)."""
-    c = plant_coefficients(parameters)
-    return ChamberVolumes(*chambers.chamber_volumes(float(position), c))
+def chamber_volumes(parameters: PlantParameters, position: float = 0.0) -> tuple[float, float]:
+    """Oil in both chambers with their dead volumes at a position (m), m³: V_a0 + A_a x and V_b0 − A_b x (8), (9)."""
+    volume_a, volume_b = chambers.chamber_volumes(float(position), plant_coefficients(parameters))
+    return volume_a, volume_b
 
 
 def closed_port_stiffness(parameters: PlantParameters, position: float = 0.0) -> float:
@@ -31,9 +24,9 @@ def closed_port_stiffness(parameters: PlantParameters, position: float = 0.0) ->
     and valve leak.
     """
     c = plant_coefficients(parameters)
-    volumes = chamber_volumes(parameters, position)
-    softness_a = volumes.a / c.bulk_modulus + c.wall_compliance_a
-    softness_b = volumes.b / c.bulk_modulus + c.wall_compliance_b
+    volume_a, volume_b = chamber_volumes(parameters, position)
+    softness_a = volume_a / c.bulk_modulus + c.wall_compliance_a
+    softness_b = volume_b / c.bulk_modulus + c.wall_compliance_b
     return float(c.area_a**2 / softness_a + c.area_b**2 / softness_b + c.spring_stiffness)
 
 

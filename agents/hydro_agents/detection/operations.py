@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_agents.controllers.base import Controller, Observation, ObservationLayout, as_batch
-from hydro_env import TaskConfig
-from hydro_env.task.configuration import task_config
+from hydro_env import TaskConfig, task_config
 from hydro_env.types import Floats, Mask, Singles
 
 Span = tuple[float, float]

@@ -16,8 +16,7 @@ from hydro_agents.learning.loading import SHIPPED_WEIGHTS, load_controller
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
 from hydro_agents.running.seeds import ANY_AXIS
-from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.task.configuration import task_config
+from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 

@@ -19,9 +19,8 @@ from hydro_agents.evaluation.robustness_protocol import (
 from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.running.jobs import Report
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
-from hydro_env import TaskConfig
+from hydro_env import TaskConfig, task_config
 from hydro_env.files import validate
-from hydro_env.task.configuration import task_config
 
 
 class ProtocolSettings(PairedCases):

@@ -25,11 +25,10 @@ from hydro_agents.learning.rig_gains import searched_gains
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import mappings, read_task, timed_task
 from hydro_agents.running.text import NAME_RULE
-from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig, task_config
 from hydro_env.files import Group, read_yaml, validate, whole_group
 from hydro_env.folders import config_file
 from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
-from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 
 Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]

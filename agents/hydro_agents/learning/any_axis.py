@@ -14,8 +14,7 @@ from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PREVIE
 from hydro_agents.learning.rig_gains import GainsFor, chosen_gains
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES
-from hydro_env import TaskConfig
-from hydro_env.task.configuration import task_config
+from hydro_env import TaskConfig, task_config
 from hydro_env.task.paces import full_speed, pace, periods_per_step
 from hydro_env.task.signals import data_sheet
 from hydro_env.types import Floats, Indices, Singles

@@ -24,9 +24,8 @@ from hydro_agents.learning.imitation import ACTOR
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.running.cases import family_errors, validation_errors
-from hydro_env import TaskConfig
+from hydro_env import TaskConfig, task_config
 from hydro_env.files import write_text
-from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 
 PROGRESS_FILE = "progress.csv"

@@ -20,10 +20,9 @@ from hydro_agents.learning.tuning import Search, costs_of_sets, tune
 from hydro_agents.running.jobs import digest_of_code
 from hydro_agents.running.limit_cycles import counted_at_rest
 from hydro_agents.running.seeds import STANDSTILLS
-from hydro_env import ConfigurationError, HydroError, TaskConfig
+from hydro_env import ConfigurationError, HydroError, TaskConfig, task_config
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.folders import config_folder
-from hydro_env.task.configuration import task_config
 from hydro_env.types import Floats
 
 GainsFor = Callable[[str, TaskConfig], Group]  # of a kind and a task

@@ -10,12 +10,11 @@ from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_agents.controllers.sampled_loop import SampledLoop, places_in_reach, sampled_loop
 from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest
 from hydro_agents.running.seeds import STANDSTILLS
-from hydro_env import ConfigurationError, HydroError, PlantParameters, TaskConfig
+from hydro_env import ConfigurationError, HydroError, PlantParameters, TaskConfig, task_config
 from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.parameters import from_vector, to_vector
 from hydro_env.plant.parts.leakage import leak_past_piston
-from hydro_env.task.configuration import task_config
 from hydro_env.task.paces import full_speed
 from hydro_env.task.settings import draws_of
 

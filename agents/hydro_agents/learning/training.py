@@ -28,8 +28,7 @@ from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import LEARNING
-from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.task.configuration import task_config
+from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.paces import periods_per_step
 

@@ -19,10 +19,9 @@ from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
 from hydro_agents.learning.trials import JUDGED, REST, costs_of, resting_cases, summed_up, tuning_cases
 from hydro_agents.running.jobs import Columns, Job, run_here
-from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig, task_config
 from hydro_env.files import Group, validate
 from hydro_env.mistakes import unknown
-from hydro_env.task.configuration import task_config
 from hydro_env.types import Floats
 
 if TYPE_CHECKING:

@@ -8,11 +8,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.files import Group, validate, whole_group
 from hydro_env.mistakes import did_you_mean, unknown
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
-from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.rig import merged, task_from

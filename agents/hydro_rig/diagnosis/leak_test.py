@@ -26,9 +26,8 @@ from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.statistics import Interval
 from hydro_agents.running.tasks import own_reference
 from hydro_agents.running.text import number
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.plant.analysis import speed_limits
-from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats, Mask

@@ -23,8 +23,7 @@ from scipy.special import ndtr
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.running.text import number
-from hydro_env import TaskConfig
-from hydro_env.task.configuration import task_config
+from hydro_env import TaskConfig, task_config
 from hydro_env.task.randomisation import own_value
 from hydro_env.types import Floats, Indices, Mask
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance

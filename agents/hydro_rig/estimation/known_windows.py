@@ -23,11 +23,10 @@ from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.running.cases import Cases, TrueStateController, run_cases
 from hydro_agents.running.jobs import Columns, Job
 from hydro_agents.running.tasks import steady
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.axes import Axes
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.plant.parts.leakage import ROD_SEAL
-from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS
 from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 from hydro_env.types import Floats, Indices

@@ -18,10 +18,9 @@ from hydro_agents.report.kit import BLUE, GREY, ORANGE, Page, drawn, legend, sig
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_agents.running.tasks import own_reference
-from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig, task_config
 from hydro_env.files import write_text
 from hydro_env.plant.analysis import reachable_range
-from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES
 from hydro_env.types import Floats, Indices
 from hydro_env.units import FULL_VOLTAGE

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple, Self
 from pydantic import Field
 
 from hydro_agents.detection.sheet import leak_scale
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.task.configuration import task_config
 from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.recordings.columns import ColumnMap, read_map
 
