@@ -161,7 +161,7 @@ def simulated_crew(
     flow = np.minimum(bound * np.exp(generator.uniform(*np.log(shares).T)), LEAKAGE_LIMIT)
     faults, names = drawn_faults(config, generator, members.states)
     gains = pid_from_figures(task) if crew.acting == "PID" else None
-    made = ACTING[crew.acting].make
+    made = ACTING[crew.acting]
     controller: Controller = PID(gains, task) if gains is not None else made(task, count, int(members.seeds[0]))
     moves = None
     if members.harsh[0] in MOVING:  # a crew has a moving supply or sensor, or damaged rows

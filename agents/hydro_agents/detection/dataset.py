@@ -256,7 +256,7 @@ def _acting(
     """Who acts on the axes of a chunk."""
     manner = OPERATIONS[chunk.row].manner
     if manner:
-        return ACTING[manner].make(task, chunk.axes, seed)
+        return ACTING[manner](task, chunk.axes, seed)
     if settings.law is not None:
         return shipped(KINDS_FOR_ANY_AXIS[chunk.controller], task)
     return controller

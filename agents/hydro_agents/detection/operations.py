@@ -156,13 +156,6 @@ def _swept_sine(axes: _Unseen, error: Floats) -> Floats:
     return np.asarray(0.2 * error + size * np.sin(2.0 * np.pi * (1.0 + 0.5 * rate * time) * time))
 
 
-class Acting(NamedTuple):
-    """The controller of the axes."""
-
-    make: Make
-    trained: bool  # whether it is part of the leakage head's training
-
-
 def ordinary(config: TaskConfig) -> TaskConfig:
     """The task as it is."""
     return config
@@ -191,14 +184,15 @@ def _shipped(kind: str, config: TaskConfig, count: int, seed: int) -> Controller
     return shipped(kind, config)
 
 
-ACTING: dict[str, Acting] = {
-    "PID": Acting(partial(_shipped, "pid"), True),
-    "PPO on flow linearisation": Acting(partial(_shipped, "ppo"), True),
-    "flow-linearising": Acting(partial(_shipped, "flow_linearising"), True),
-    **{name: Acting(partial(Operation, manner), True) for name, manner in MANNERS.items()},
-    "sliding mode": Acting(partial(_Unseen, _sliding_mode), False),
-    "three-step switch": Acting(partial(_Unseen, _three_step), False),
-    "swept sine": Acting(partial(_Unseen, _swept_sine), False),
+UNSEEN = {"sliding mode": _sliding_mode, "three-step switch": _three_step, "swept sine": _swept_sine}
+"""Laws that are not part of the leakage head's training."""
+
+ACTING: dict[str, Make] = {
+    "PID": partial(_shipped, "pid"),
+    "PPO on flow linearisation": partial(_shipped, "ppo"),
+    "flow-linearising": partial(_shipped, "flow_linearising"),
+    **{name: partial(Operation, manner) for name, manner in MANNERS.items()},
+    **{name: partial(_Unseen, law) for name, law in UNSEEN.items()},
 }
 """Controllers of the axes, by name."""
 

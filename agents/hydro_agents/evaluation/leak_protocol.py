@@ -11,7 +11,7 @@ from pydantic import Field
 from hydro_agents.controllers.by_name import imported
 from hydro_agents.detection.detector import Detector, Windows, cut, measured_run
 from hydro_agents.detection.detectors import DetectorChoice
-from hydro_agents.detection.operations import ACTING, MOTIONS
+from hydro_agents.detection.operations import ACTING, MOTIONS, UNSEEN
 from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol, beginning, refuse_unknown
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
@@ -133,7 +133,7 @@ class LeakProtocol(Protocol[LeakCondition]):
         """See :meth:`~hydro_agents.evaluation.conditions.Protocol.known_of`."""
         condition = self.conditions[name]
         known = condition.model_dump(include={"acting", "motion", "begins"})
-        return known | {"duration_s": condition.duration, "trained": ACTING[condition.acting].trained}
+        return known | {"duration_s": condition.duration, "trained": condition.acting not in UNSEEN}
 
 
 READ = ("score", "flow_lpm", "low_lpm", "high_lpm")  # of a reading, NaN without an answer; otherwise is its cause
@@ -201,7 +201,7 @@ def simulated_windows(config: TaskConfig, acting: str, cases: Cases, samples: in
         ControllerError: the controller of the axes failed.
         ConfigurationError: a run cannot begin.
     """
-    controller = ACTING[acting].make(config, len(cases), int(cases.seeds[0]))
+    controller = ACTING[acting](config, len(cases), int(cases.seeds[0]))
     signals, run = measured_run(config, controller, cases)
     spare = config.steps - samples
     places = [np.random.default_rng([int(seed), 13]).integers(spare // 2, spare + 1) for seed in cases.seeds]
