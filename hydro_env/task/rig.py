@@ -22,6 +22,9 @@ USUAL_RANGES = (100e5, 160e5, 250e5, 400e5, 600e5, 1000e5)  # Pa; upper ends of 
 SHARE_OF_ACCELERATION = 0.25  # of what the supply can give: largest acceleration of smooth references
 
 
+Values = Mapping[str, Any]  # settings by name
+
+
 class Rig(NamedTuple):
     """A rig: the parameters of its data sheet, ranges for the uncertain ones, and its sensors."""
 
@@ -48,7 +51,7 @@ def read_rig(given: str | Path, folder: Path | None = None) -> Rig:
     return rig_from(read_yaml(file), str(file))
 
 
-def rig_from(values: Mapping[str, Any], source: str) -> Rig:
+def rig_from(values: Values, source: str) -> Rig:
     """A rig from the groups of its file.
 
     Raises:
@@ -92,7 +95,7 @@ def law_of(given: str | Path) -> dict[str, Any] | None:
     return dict(values["law"])
 
 
-def _at(values: Mapping[str, Any], path: str) -> Any:
+def _at(values: Values, path: str) -> Any:
     """The value at a path ``group.field`` of nested groups."""
     value = values
     for part in path.split("."):
@@ -102,11 +105,11 @@ def _at(values: Mapping[str, Any], path: str) -> Any:
 
 def task_from(
     model: type[ModelType],
-    values: Mapping[str, Any],
+    values: Values,
     source: str,
     folder: Path | None = None,
     rig: str | Path | None = None,
-    overrides: Mapping[str, Any] | None = None,
+    overrides: Values | None = None,
     within: str = "",
 ) -> ModelType:
     """A task from its settings, on its own rig or adapted to another one.
@@ -204,7 +207,7 @@ def pressure_ranges(plant: PlantParameters) -> dict[str, float]:
     }
 
 
-def _following(plant: PlantParameters, defaults: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def _following(plant: PlantParameters, defaults: Values, own: Values) -> dict[str, Any]:
     """Settings that follow from a rig and its own sensors, by path; for the paper's rig the defaults, bit for bit."""
     from hydro_env.plant.analysis import (  # compiled code
         closed_port_natural_frequency,
@@ -268,7 +271,7 @@ def _moved_ranges(task: Any, rig: Rig) -> dict[str, Any]:
     return {path: draw.model_dump() for path, draw in result.items()}
 
 
-def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def merged(base: Values, changes: Values) -> dict[str, Any]:
     """``base`` updated by ``changes``, group by group, each distribution of ``randomisation`` as a whole.
 
     ``references.weights`` is replaced as a whole, and so is ``randomisation`` by an empty group, which draws nothing,

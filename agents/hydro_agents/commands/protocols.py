@@ -1,13 +1,12 @@
 """Runs a protocol for a command: as its options say, in its folder, with the facts of the run."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from hydro_agents.commands.options import command_line, working_in
 from hydro_agents.commands.pages import PageOf
 from hydro_agents.evaluation.conditions import Protocol
-from hydro_agents.evaluation.runner import run
+from hydro_agents.evaluation.runner import Facts, run
 from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.tasks import timed_task
@@ -38,7 +37,7 @@ class Options(NamedTuple):
         return protocol.moved(timed_task(task, self.rig, self.period, self.latency, "evaluate"))
 
 
-def facts_of(**more: str) -> Sequence[tuple[str, str]]:
+def facts_of(**more: str) -> Facts:
     """Keys and values of a run: date, command, machine, versions, and more."""
     run_by = {"date": date_now(), "command": command_line(), "machine": machine_description()}
     return list((more | run_by | package_versions()).items())

@@ -29,6 +29,7 @@ from hydro_env.files import write_whole
 if TYPE_CHECKING:
     from hydro_agents.evaluation.comparison import Grid
 
+Facts = Sequence[tuple[str, str]]  # of a run: key and value
 DONE, NOT_APPLICABLE, FAILED = "done", "not applicable", "failed"
 
 
@@ -40,7 +41,7 @@ class Results:
     participants: Any
     rows: Mapping[str, pd.DataFrame]  # by part; a part without results is absent
     status: pd.DataFrame  # participant (with training seed), condition, status, message
-    facts: Sequence[tuple[str, str]] = ()  # more rows of the table ``protocol``: key and value
+    facts: Facts = ()  # more rows of the table ``protocol``: key and value
     _made: dict[str, pd.DataFrame] = field(default_factory=dict)
 
     def part(self, name: str) -> pd.DataFrame:
@@ -133,7 +134,7 @@ def run(
     chosen: Any,
     folder: Path | None = None,
     progress: Report | None = None,
-    facts: Sequence[tuple[str, str]] = (),
+    facts: Facts = (),
 ) -> Results:
     """Run all jobs of a protocol where the active ``parallel_config`` says; finished ones in the folder are read.
 

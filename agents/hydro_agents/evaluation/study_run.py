@@ -7,7 +7,7 @@ the seeds share its rows in the tables, whose intervals include them.
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, gains_text
 from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.participants import participants
-from hydro_agents.evaluation.runner import Results, run
+from hydro_agents.evaluation.runner import Facts, Results, run
 from hydro_agents.evaluation.study import StudySettings
 from hydro_agents.learning.loading import load_controller
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress
@@ -57,9 +57,7 @@ def files_of(study: StudySettings, seeds: range) -> list[str]:
     return files + [f"controllers/{name}/{GAINS_FILE}" for name in study.tuned]
 
 
-def run_study(
-    study: StudySettings, folder: Path, seeds: range, display: ProgressDisplay, facts: Sequence[tuple[str, str]] = ()
-) -> Results:
+def run_study(study: StudySettings, folder: Path, seeds: range, display: ProgressDisplay, facts: Facts = ()) -> Results:
     """Run all phases of a checked study that are not finished in the folder, which gets :func:`files_of`.
 
     The first of the seeds of the trainings is that of the tuning; ``facts`` are more rows of the table ``protocol``.

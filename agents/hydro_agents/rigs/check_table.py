@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rich.padding import Padding
 from rich.table import Table as ConsoleTable
@@ -186,55 +186,6 @@ def _summary(rig: Rig) -> str:
     return ", ".join(facts)
 
 
-class Plausible(NamedTuple):
-    """A figure of every rig, the range in which it lies, and the field that is wrong elsewhere."""
-
-    path: str  # of the field
-    name: str
-    compute: Callable[[PlantParameters], float]
-    low: float
-    high: float
-    unit: str  # of the figure
-    meant: str  # the unit that was probably meant
-
-
-PLAUSIBLE = (
-    Plausible("valve.rated_flow", "a full speed of", lambda p: max(speed_limits(p)), 5e-3, 10.0, "m/s", "l/min"),
-    Plausible(
-        "supply.pressure", "a supply of", lambda p: p.supply.pressure / BAR, 15.0, 700.0, "bar", "psi, bar or MPa"
-    ),
-    Plausible(
-        "valve.natural_frequency",
-        "a valve of",
-        lambda p: p.valve.natural_frequency / (2.0 * math.pi),
-        15.0,
-        1000.0,
-        "Hz",
-        "Hz",
-    ),
-    Plausible("fluid.bulk_modulus", "a modulus of", lambda p: p.fluid.bulk_modulus / 1e9, 0.2, 5.0, "GPa", "GPa"),
-    Plausible("fluid.air_fraction", "an air content of", lambda p: 100.0 * p.fluid.air_fraction, 0.0, 15.0, "%", "%"),
-    Plausible(
-        "cylinder.dead_volume",
-        "a dead volume over swept volume of",
-        lambda p: p.cylinder.dead_volume / (plant_coefficients(p).area_a * p.cylinder.stroke),
-        1e-3,
-        20.0,
-        "1",
-        "cm³",
-    ),
-    Plausible(
-        "load.mass",
-        "a natural frequency of",
-        lambda p: closed_port_natural_frequency(p) / (2.0 * math.pi),
-        1.0,
-        3000.0,
-        "Hz",
-        "kg or t",
-    ),
-)
-
-
 def sensor_rows(rig: Rig, task: TaskConfig) -> list[RigFigure]:
     """Largest constant error of the position, which no controller sees; range, noise and error of the pressures.
 
@@ -256,14 +207,22 @@ def sensor_rows(rig: Rig, task: TaskConfig) -> list[RigFigure]:
     return rows
 
 
-def implausible(parameters: PlantParameters) -> list[str]:
+def implausible(p: PlantParameters) -> list[str]:
     """A warning for each value that hardly any rig has: the field, its value, what follows, and the likely unit."""
+    dead, hertz = p.cylinder.dead_volume / (plant_coefficients(p).area_a * p.cylinder.stroke), 0.5 / math.pi
+    bandwidth, frequency = hertz * p.valve.natural_frequency, hertz * closed_port_natural_frequency(p)
+    figures = (  # of every rig, the range in which each lies, and its unit
+        ("valve.rated_flow", "a full speed of", max(speed_limits(p)), 5e-3, 10.0, "m/s", "l/min"),
+        ("supply.pressure", "a supply of", p.supply.pressure / BAR, 15.0, 700.0, "bar", "psi, bar or MPa"),
+        ("valve.natural_frequency", "a valve of", bandwidth, 15.0, 1000.0, "Hz", "Hz"),
+        ("fluid.bulk_modulus", "a modulus of", p.fluid.bulk_modulus / 1e9, 0.2, 5.0, "GPa", "GPa"),
+        ("fluid.air_fraction", "an air content of", 100.0 * p.fluid.air_fraction, 0.0, 15.0, "%", "%"),
+        ("cylinder.dead_volume", "a dead volume over swept volume of", dead, 1e-3, 20.0, "1", "cm³"),
+        ("load.mass", "a natural frequency of", frequency, 1.0, 3000.0, "Hz", "kg or t"),
+    )
     warnings = []
-    for figure in PLAUSIBLE:
-        value, own = figure.compute(parameters), attrgetter(figure.path)(parameters)
-        if not figure.low <= value <= figure.high:
-            warnings.append(
-                f"warning: {figure.path} = {own:.4g} {PARAMETER_UNITS[figure.path]} gives {figure.name} {value:.3g} "
-                f"{figure.unit}: {figure.meant} meant?"
-            )
+    for path, name, value, low, high, unit, meant in figures:
+        if not low <= value <= high:
+            own = f"{path} = {attrgetter(path)(p):.4g} {PARAMETER_UNITS[path]}"
+            warnings.append(f"warning: {own} gives {name} {value:.3g} {unit}: {meant} meant?")
     return warnings
