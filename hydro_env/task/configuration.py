@@ -283,6 +283,11 @@ def task_config(
 
     Raises:
         ConfigurationError: the name is unknown, the file is unreadable, a key is unknown, or a value is impossible.
+
+    Example:
+        >>> from hydro_env import task_config
+        >>> task_config(plant={"load": {"mass": 80.0}}, episode_duration=1.0).steps
+        200
     """
     if task is not None and config is not None:
         raise ConfigurationError("task: 'task' and 'config' are two names of one argument; give one of them")

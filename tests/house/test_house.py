@@ -40,7 +40,7 @@ BUDGET = {
     "hydro_env": 62_000,
     "hydro_agents": 104_100,
     "hydro_rig": 107_600,
-    "tests": 173_800,
+    "tests": 175_100,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

@@ -48,7 +48,7 @@ def test_the_tables_of_fields_are_those_of_the_models(monkeypatch):
 def test_the_tables_of_results_are_those_of_the_kept_files(monkeypatch):
     results = script(ROOT / "benchmarks" / "put_into_docs.py", monkeypatch)
     pages = {name: (DOCS / name).read_text(encoding="utf-8") for name in results.PAGES}
-    made = results.tables()
+    made = {name: results.table_of(name) for name in results.SOURCES}
     for page in pages.values():
         assert results.filled(page, made) == page, "run: python benchmarks/put_into_docs.py"
     assert all(table in "".join(pages.values()) for table in made.values())

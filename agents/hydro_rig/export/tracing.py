@@ -263,6 +263,7 @@ _COMPOSED: dict[Any, Callable[..., Any]] = {
     np.minimum: lambda a, b: np.where(np.greater(a, b), b, a),
     np.sign: lambda x: np.where(x > 0.0, 1.0, np.where(x < 0.0, -1.0, x)),
     np.copysign: lambda size, sign: np.where(sign < 0.0, -np.absolute(size), np.absolute(size)),
+    np.logaddexp: lambda a, b: np.maximum(a, b) + np.log(1.0 + np.exp(-np.absolute(a - b))),
 }
 """Functions that are written by others."""
 
