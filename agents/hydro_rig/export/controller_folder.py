@@ -17,7 +17,7 @@ from hydro_env import ConfigurationError, HydroError, ServoHydraulicVectorEnv, T
 from hydro_env.files import Group
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.export.c_files import csv_text, tested
+from hydro_rig.export.c_files import TEMPLATES, csv_text, tested
 from hydro_rig.export.contract import LOST_RULE
 from hydro_rig.export.controller import GAINS, ControllerGraph, c_name, controller_code, controller_graph, facts_of
 from hydro_rig.export.onnx_writer import controller_model, onnx_session
@@ -42,6 +42,10 @@ class Vector(NamedTuple):
     outputs: dict[str, Any]  # COMPARED
 
 
+HEADERS = frozenset((TEMPLATES / "c_headers.txt").read_text(encoding="utf-8").split())
+"""Of C; a file of such a name would stand in their place."""
+
+
 def files_of(name: str) -> tuple[str, ...]:
     """Names of the files of a block with a name."""
     code = c_name(name)
@@ -51,7 +55,7 @@ def files_of(name: str) -> tuple[str, ...]:
 
 def check_block_name(name: str) -> None:
     """Check the name of a block; ConfigurationError: it is no name, or a word of C or Structured Text."""
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]{0,30}", name) or name.lower() in RESERVED:
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]{0,30}", name) or name.lower() in RESERVED | HEADERS:
         raise ConfigurationError(
             f"--name {name}: must be at most 31 letters and digits, a letter first, and no word of C or Structured Text"
         )
@@ -213,6 +217,8 @@ def exported_files(
     """
     check_block_name(name)
     graph = controller_graph(controller, config)
+    if name.lower() in {st_name(each).lower() for each in (*(row.name for row in graph.block.inputs), *graph.outputs)}:
+        raise ConfigurationError(f"--name {name}: is an input or output of the block")
     model = controller_model(graph).SerializeToString()
     vectors, gains = make_vectors(graph), getattr(controller, "gains", None)
     written = graph.in_single() if single else graph

@@ -19,7 +19,7 @@ from hydro_agents.running.machine import Origin
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_agents.running.tasks import own_reference
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig, task_config
-from hydro_env.files import write_text
+from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.analysis import reachable_range
 from hydro_env.task.record import FAILURES
 from hydro_env.types import Floats, Indices
@@ -129,7 +129,8 @@ def rehearse(folder: Path, rig: Path | None = None) -> tuple[TaskConfig, list[Ta
         HydroError: there is no compiler.
     """
     block = CBlock(folder)
-    config = task_config(folder / "task.yaml", rig=rig)
+    task = read_yaml(folder / "task.yaml") | {"randomisation": {}}  # every scene says what it changes
+    config = task_config(task, rig=rig)
     return config, [_play(block, config, scene) for scene in SCENES]
 
 
@@ -149,7 +150,7 @@ def _play(block: CBlock, config: TaskConfig, scene: Scene) -> Take:
     event = ready + round(0.5 * moving / period)
     late = config.command_latency + scene.late * period
     reference = np.full(moves[-1] + 2, targets[1])
-    changes: dict[str, Any] = {"command_latency": late, "command_latency_range": None, "randomisation": {}}
+    changes: dict[str, Any] = {"command_latency": late, "command_latency_range": None}
     task = task_config(own_reference(config, reference), **changes)
     env = ServoHydraulicVectorEnv(1, task, info=False)
     options: dict[str, Any] = {"leakage_flow_lpm": scene.leak, "initial_position": targets[1], "parameters": {}}

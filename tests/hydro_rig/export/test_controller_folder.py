@@ -154,9 +154,9 @@ def test_a_missing_package_is_one_clear_line(package, exported, monkeypatch):
         exported_files(controller, TASK, "")
 
 
-@pytest.mark.parametrize("name", ["Pid", "while", "2Lift", "Lift axis"])
+@pytest.mark.parametrize("name", ["Pid", "while", "2Lift", "Lift axis", "Math", "Enable", "FaultCode"])
 def test_a_name_that_no_compiler_takes_is_refused(name, exported):
-    with refused("must be at most 31 letters and digits"):
+    with refused("must be at most 31 letters and digits|is an input or output of the block"):
         exported_files(exported("pid").controller, TASK, "", name=name)
 
 
