@@ -4,8 +4,6 @@ Source: Ross, Gordon & Bagnell, *A reduction of imitation learning and structure
 learning*, AISTATS 2011 (DAgger, here with the newest states alone). The critic learns the policy's own returns.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ The way of the data: task → :func:`make_env` (N axes) → :func:`make_features
 :func:`make_model` (PPO) → :func:`train_policy` (weights, log and checkpoints).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
