@@ -299,7 +299,10 @@ def _why_nothing(case: Case) -> str:
     why = case.reading.why
     if not len(why):
         return "the recording is shorter than one window"
-    most = Why(Counter(why[why != Why.ANSWERED].tolist()).most_common(1)[0][0])
+    refused = Counter(why[why != Why.ANSWERED].tolist())
+    if not refused:
+        return "the answers give the leak no size"
+    most = Why(refused.most_common(1)[0][0])
     if most is not Why.NO_COMMANDS:
         return most.word
     return f"commands are missing in every window; {SHORTER if case.window > SHORT else 'record without gaps'}"

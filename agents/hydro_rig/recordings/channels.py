@@ -8,7 +8,7 @@ from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL, Sensor
 from hydro_env.types import Floats, Mask
 from hydro_rig.recordings.columns import MEASURED, UNITS
-from hydro_rig.recordings.findings import Finding, Weight, finding_of, missing_weight, runs_of, severe_if
+from hydro_rig.recordings.findings import MOST_SPIKES, Finding, Weight, finding_of, missing_weight, runs_of, severe_if
 from hydro_rig.recordings.sampling import Sampled
 
 LONGEST_LAG = 0.3  # s, by which a position may follow its set point
@@ -26,7 +26,6 @@ ACTIVE_COMMAND = 0.01  # range of the command, as a fraction of full command, ov
 FEWEST_STEPS = 20.0  # change of another channel that a sensor cannot miss, in steps of its readings
 LEAST_TRAVEL = 2e-3  # m; travel that the oil through the valve would cause
 LEAST_PRESSURE_CHANGE = 0.02  # of the other chamber, as a share of the supply pressure
-MOST_SPIKES = 0.05  # largest share of out-of-range values that count as single spikes, which are left out
 DROP = 0.1  # smallest fall of a reading, as a fraction of the sensor's range, when its current loop breaks
 FEWEST_DROPS = 3  # smallest number of falls of a broken loop; a chamber may cavitate once or twice
 LOWEST_PRESSURE = -1.2e5  # Pa; lowest gauge pressure: vacuum minus the error of a transducer

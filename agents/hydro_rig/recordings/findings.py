@@ -10,6 +10,7 @@ from hydro_agents.running.text import number
 from hydro_env.types import Floats, Indices, Mask
 
 MOST_MISSING = 0.9  # largest share of missing readings of a sensor: every tenth row, by a slower program, tells enough
+MOST_SPIKES = 0.05  # largest share of out-of-range values that count as single spikes, which are left out
 MOST_MISSING_COMMANDS = 0.2  # the same for the command, without which the axis cannot be simulated
 
 

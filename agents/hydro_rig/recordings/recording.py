@@ -12,11 +12,12 @@ from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, numbers_of, read_columns, together
-from hydro_rig.recordings.findings import Finding, missing_weight, severe_if
+from hydro_rig.recordings.findings import MOST_SPIKES, Finding, missing_weight, severe_if
 from hydro_rig.recordings.stamps import EXCEL_BEGIN, equidistant, time_stamps
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
 FEWEST_ROWS = 3
+OIL = -20.0, 100.0  # °C, of oil in service: valves are made for up to 80 °C, and 100 °F is oil of 38 °C
 FULL_COMMAND = 0.99  # of the largest command, from which the valve counts as fully open
 
 
@@ -41,6 +42,24 @@ class Recording(NamedTuple):
             auxiliary={name: values[first:end].copy() for name, values in self.auxiliary.items()},
             begin=self.begin + shift,
         )
+
+    def with_plausible_oil(self) -> Self:
+        """With NaN for temperatures that no oil in service has, and a finding that says so.
+
+        Where these are more than single ones, or all are 0 °C as those of a dead input, none of the readings counts.
+        """
+        values = self.auxiliary.get("oil_temperature", np.zeros(0))
+        known = np.isfinite(values)
+        wrong = known & ((values < OIL[0]) | (values > OIL[1]))
+        if wrong.sum() > MOST_SPIKES * known.sum() or not values[known].any():
+            wrong = known
+        if not wrong.any():
+            return self
+        ends = f"{values[wrong].min():.4g} to {values[wrong].max():.4g} °C"
+        what = f"reads {ends}, must be {OIL[0]:g} to {OIL[1]:g} °C and not always 0: counts as not measured"
+        finding = Finding("oil_temperature", what, share=float(wrong.mean()))
+        auxiliary = {**self.auxiliary, "oil_temperature": np.where(wrong, np.nan, values)}
+        return self._replace(auxiliary=auxiliary, findings=[*self.findings, finding])
 
 
 def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
@@ -84,7 +103,8 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     signals = np.array([values.get(signal, absent)[known] for signal in MEASURED])
     auxiliary = {name: values[name][known] for name in AUXILIARY if name in values}
     begin += float(time[0])
-    return Recording(source, time - time[0], signals, units, findings, auxiliary, begin, differential)
+    time = time - time[0]
+    return Recording(source, time, signals, units, findings, auxiliary, begin, differential).with_plausible_oil()
 
 
 def _values_of(

@@ -31,7 +31,7 @@ from hydro_rig.diagnosis.verdict import NO_LEAK, Kind, Leak
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.recordings.columns import MEASURED
-from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.findings import Finding, Weight, lines_of
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, bridged, cut, on_grid, sampled
@@ -158,6 +158,7 @@ class AxisWatch:
             condition, cause = Condition.CHECK, f"cannot tell: {why}"
         if self._found:
             condition, cause = Condition.FAILURE, self._found[0].line()
+        cause = "; ".join(filter(None, [cause, *lines_of(rows.findings)]))  # of the thermometer
         return self._told(now, condition, cause, leak, temperature)
 
     def _recording(self) -> Recording:
@@ -165,7 +166,9 @@ class AxisWatch:
         values = np.array([row for _, row in self._rows]).T
         signals, others = np.split(values, [len(MEASURED)])
         auxiliary = {name: row for name, row in zip(AUXILIARY, others, strict=True) if np.isfinite(row).any()}
-        return Recording(self.name, stamps - stamps[0], signals, {}, [], auxiliary, float(stamps[0]))
+        return Recording(
+            self.name, stamps - stamps[0], signals, {}, [], auxiliary, float(stamps[0])
+        ).with_plausible_oil()
 
     @staticmethod
     def _newest_window(samples: Sampled, now: float) -> Windows:

@@ -67,7 +67,7 @@ class AxisTrend(NamedTuple):
     axis: str
     rows: pd.DataFrame  # of the table, in the order of time
     states: list[State]  # all that hold, the most serious first
-    reason: str  # of the states; empty for a healthy axis
+    reason: str  # of the states; empty: none
     growth: Growth  # in days, since the last repair; NaN: unknown, or the last reading contradicts it
     leak: Interval  # l/min at 100 bar and 40 °C: of the trend, or without one of the last reading with a size
     limit: float  # l/min at 100 bar and 40 °C
@@ -189,8 +189,8 @@ def _reasons(rows: pd.DataFrame, limit: float, latest: Interval, found: Growth) 
     state = State(verdict) if count >= min(len(rows), AGREE) else State.UNKNOWN
     if latest.low > limit:
         state = State.LEAK
-    if state is State.HEALTHY:
-        return {State.UNKNOWN if found.ahead.value == 0.0 else state: ""}
+    if state is State.HEALTHY and found.ahead.value == 0.0:
+        return {State.UNKNOWN: ""}
     return {state: "".join(rows["reason"][rows["verdict"] == state][-1:])}
 
 

@@ -17,7 +17,7 @@ from hydro_rig.diagnosis.diagnose import diagnosed, read_windows
 from hydro_rig.diagnosis.oil import Oil, temperature_of
 from hydro_rig.diagnosis.verdict import NO_LEAK
 from hydro_rig.estimation.solver import tell, told_to
-from hydro_rig.recordings.findings import Weight
+from hydro_rig.recordings.findings import Weight, lines_of
 from hydro_rig.recordings.parts import liveliest
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import Sampled, cut
@@ -65,10 +65,10 @@ def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_
         found = diagnosed(recording, config, choose, partial(read_windows, threads=1), WINDOW, oil)
     verdict = found.verdict
     leak = verdict.leak or NO_LEAK
-    faults = [finding.line() for finding in found.checked.findings if finding.weight is Weight.FAULT]
+    told = [one for one in found.checked.findings if one.weight is Weight.FAULT or one.signal == "oil_temperature"]
     return {
         "verdict": verdict.kind.value,
-        "reason": "; ".join(dict.fromkeys(filter(None, [verdict.why, *faults]))),
+        "reason": "; ".join(dict.fromkeys(filter(None, [verdict.why, *lines_of(told)]))),
         "temperature": temperature_of(found.windows if len(found.windows) else recording),
         "size_40": leak.value,
         "low_40": leak.low,

@@ -75,6 +75,7 @@ CASES = {
     "worn valve": ([], reading(0.01, 0.01, fault="worn edges"), Kind.OTHER, "something else: worn edges;"),
     "worn valve and leak": ([], reading(1.0, 1.0, fault="worn edges"), Kind.LEAK, "besides, worn edges"),
     "nothing read": ([], NOTHING, Kind.UNKNOWN, "cannot tell: the recording is shorter than one window"),
+    "answers without a size": ([], reading(np.nan), Kind.UNKNOWN, "no size"),
     "standstill": ([], UNDETERMINED, Kind.UNKNOWN, f"cannot tell: {Why.UNDETERMINED.word}"),
     "gaps": ([], GAPS, Kind.UNKNOWN, "cannot tell: commands are missing in every window; shorter ones (--window 0.5)"),
     "half of the windows misfit": ([], HALF_MISFIT, Kind.UNKNOWN, "cannot tell: "),

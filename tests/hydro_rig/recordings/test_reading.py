@@ -203,3 +203,24 @@ def test_pressures_of_the_supply_a_flow_and_a_temperature_may_stand_beside_the_s
     file.write_text("time [s],command [V],flow [furlong]\n0,0,1\n1,0,1\n2,0,1\n", encoding="utf-8")
     with refused(r"flow: .*furlong"):
         read_recording(file)
+
+
+@pytest.mark.parametrize(
+    ("readings", "counts"),
+    [
+        ([40.0] * 40, 40),
+        ([45.0] * 39 + [-999.0], 39),  # a single spike
+        ([0.0] * 40, 0),  # a dead input
+        ([850.0] * 40, 0),  # a broken Pt100
+        (np.linspace(72.0, 136.0, 40), 0),  # °F
+        (np.linspace(295.0, 331.0, 40), 0),  # K
+    ],
+)
+def test_temperatures_that_no_oil_has_count_as_not_measured(readings, counts, tmp_path):
+    rows = [f"{0.005 * number},0,0.1,{reading}" for number, reading in enumerate(readings)]
+    file = tmp_path / "axis.csv"
+    file.write_text("\n".join(["time [s],position [mm],command [V],oil_temperature [°C]", *rows]), encoding="utf-8")
+    found = read_recording(file)
+    assert np.isfinite(found.auxiliary["oil_temperature"]).sum() == counts
+    told = [one.share for one in found.findings if one.signal == "oil_temperature"]
+    assert told == ([] if counts == 40 else [pytest.approx(1.0 - counts / 40)])

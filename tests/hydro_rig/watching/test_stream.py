@@ -210,6 +210,13 @@ def test_a_fault_of_the_wiring_is_named_before_an_alarm(fault, healthy, tmp_path
     assert all(look.cause for look in looks)
 
 
+def test_an_impossible_temperature_of_the_oil_is_told_at_each_look(healthy, tmp_path):
+    lines = [f"{healthy[0]},oil_temperature [°C]", *(f"{line},310" for line in healthy[1:1000])]
+    (look,) = fleet_in(tmp_path).looks(lines)
+    assert "oil_temperature" in look.cause
+    assert np.isnan(look.temperature)
+
+
 def test_rows_that_do_not_tell_the_leak_are_never_good(healthy, tmp_path):
     """Time and command alone; no pressures; the clock in another unit, or set back; a heading between the rows."""
     rows = cells(healthy)[:2400]

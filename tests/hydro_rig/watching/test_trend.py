@@ -84,6 +84,21 @@ def test_a_file_becomes_one_row_with_the_leak_at_40_degrees(tmp_path):
     assert found["low_40"] < 0.3 * factor < found["high_40"]
 
 
+def test_an_impossible_temperature_of_the_oil_is_told_and_does_not_count(tmp_path):
+    path = tmp_path / "press_2026-10-03T0600.csv"
+    recorded_file(path, leakage=0.3, duration=4.0)
+    rows, found = pd.read_csv(path, comment="#"), []
+    for temperature in (np.nan, 310.0):  # kelvin under the heading of °C
+        rows.assign(**{"oil_temperature [°C]": temperature}).to_csv(path, index=False)
+        found.append(row_of_file(path, AXIS))
+    sizes = [[row[name] for name in ("size_40", "low_40", "high_40")] for row in found]
+    assert sizes[1] == sizes[0]
+    assert np.isnan(found[1]["temperature"])
+    assert "oil_temperature" in found[1]["reason"]
+    table = table_of([0.01] * 5).assign(reason=found[1]["reason"])
+    assert "oil_temperature" in trend_of("a", table, AXIS, "").line()
+
+
 # The table -----------------------------------------------------------------------------------------------------------
 
 
