@@ -25,15 +25,17 @@ and without fused multiply–add the last digits differ: ``contract`` allows the
 """
 
 
-def _digest_of_sources() -> int:
+def digest_of_sources(*folders: Path) -> int:
+    """A digest of all source files of this package, and of folders."""
     digest = hashlib.sha256()
-    for file in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(file.read_bytes())
+    for folder in (Path(__file__).parent, *folders):
+        for file in sorted(folder.rglob("*.py")):
+            digest.update(file.read_bytes())
     return int.from_bytes(digest.digest()[:7], "big")
 
 
-SOURCES = _digest_of_sources()
-"""A digest of all source files of this package; kernels have it in their closure.
+SOURCES = digest_of_sources()
+"""Of this package alone; kernels have it in their closure, those of other packages a digest of their own folder too.
 
 Numba keys its cache on the kernel's own file and closure, and would miss a change in functions from other files.
 """

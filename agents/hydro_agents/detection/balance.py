@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydro_agents.detection.balance_parts import best_valve, factor, hold, spool_between, substitute, whiten
-from hydro_agents.detection.sheet import POINTS, Sheet, Unknowns
-from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_replacer
+from hydro_agents.detection.sheet import POINTS, SOURCES, Sheet, Unknowns
+from hydro_env.compiling import compiled, inline, tuple_reader, tuple_replacer
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parts.chambers import chamber_volumes
 from hydro_env.plant.parts.supply import supply_rates

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydro_agents.detection.balance_parts import follow_commands
-from hydro_agents.detection.sheet import POINTS, Sheet
+from hydro_agents.detection.sheet import POINTS, SOURCES, Sheet
 from hydro_env import TaskConfig
-from hydro_env.compiling import SOURCES, compiled, inline
+from hydro_env.compiling import compiled, inline
 from hydro_env.task.sensors import COMMAND, SENSORS, SPOOL
 from hydro_env.types import Array, Floats, Mask
 

@@ -8,8 +8,8 @@ import numpy as np
 from hydro_agents.detection.balance import EXTERNAL, INTERNAL, OVERLAP, PARTS, SUPPLY, TRACED, fit_balance
 from hydro_agents.detection.balance_parts import factor, substitute
 from hydro_agents.detection.damaged_signals import repaired
-from hydro_agents.detection.sheet import Sheet, Unknowns
-from hydro_env.compiling import SOURCES, compiled, inline, named_tuple, tuple_reader, tuple_writer
+from hydro_agents.detection.sheet import SOURCES, Sheet, Unknowns
+from hydro_env.compiling import compiled, inline, named_tuple, tuple_reader, tuple_writer
 from hydro_env.plant.equations import Coefficients
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Array, Singles

@@ -1,12 +1,14 @@
 """Prior knowledge of the leakage head about an axis: its data sheet, as numbers for compiled code, and priors."""
 
 import math
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hydro_agents.controllers.sampled_loop import zero_order_hold
 from hydro_env import TaskConfig
+from hydro_env.compiling import digest_of_sources
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import Physical, PlantParameters, to_vector
 from hydro_env.plant.parts.leakage import LEAK_LAWS
@@ -19,6 +21,7 @@ from hydro_env.task.signals import SHEET, data_sheet
 from hydro_env.types import Floats, Singles
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
+SOURCES = digest_of_sources(Path(__file__).parent)  # of the kernels of this room and what they call
 POINTS = 2  # points between two samples at which the flows are evaluated
 FREQUENCIES, DAMPINGS = 9, 3  # numbers of natural frequencies and of damping ratios of the candidate valves
 AT_ONCE = 1e5  # 1/s; rate for the ideal parts of the valve model

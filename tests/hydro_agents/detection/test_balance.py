@@ -1,19 +1,23 @@
 """The flow balance reads leak and valve from simulated signals alone; lost samples and stuck sensors are found."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from hydro_agents.detection.balance import COUNT, INTERNAL, OVERLAP, PARTS, TRACED, fit_balance
+from hydro_agents import detection
+from hydro_agents.detection.balance import COUNT, INTERNAL, OVERLAP, PARTS, TRACED, fit, fit_balance
 from hydro_agents.detection.balance_parts import factor, hold, substitute
-from hydro_agents.detection.damaged_signals import repaired, stuck_sensors
+from hydro_agents.detection.damaged_signals import repair, repaired, stuck_sensors
 from hydro_agents.detection.detector import measured_run
-from hydro_agents.detection.features import CHANGE, FEATURES, features_of
+from hydro_agents.detection.features import CHANGE, FEATURES, describe, features_of
 from hydro_agents.detection.operations import MANNERS, Operation
 from hydro_agents.detection.sheet import Unknowns, sheet_of
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import TaskConfig
+from hydro_env.compiling import digest_of_sources
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS, SPOOL
 
@@ -181,3 +185,9 @@ def test_without_a_spool_sensor_the_nominal_valve_answers_the_commands():
     assert np.ptp(signals[:, SPOOL]) > 0.05
     np.testing.assert_allclose(filled[:, SPOOL], signals[:, SPOOL], atol=2e-3)
     np.testing.assert_array_equal(np.delete(filled, SPOOL, axis=1), np.delete(signals, SPOOL, axis=1))
+
+
+def test_a_kernel_depends_on_the_files_that_it_calls():
+    sources = digest_of_sources(Path(detection.__file__).parent)
+    for kernel in (fit, repair, describe):
+        assert sources in [cell.cell_contents for cell in kernel.py_func.__closure__]

@@ -102,6 +102,13 @@ def test_the_same_source_uncompiled_gives_the_same_numbers():
     np.testing.assert_allclose(uncompiled["observations"], compiled["rows"], rtol=0, atol=1e-6)
 
 
+def test_kernels_of_another_package_depend_on_all_of_its_files(tmp_path):
+    """Numba looks at the file of a kernel alone: without the digest, old machine code would outlive an upgrade."""
+    before = compiling.digest_of_sources(tmp_path)
+    (tmp_path / "called.py").write_text("x = 1")
+    assert compiling.digest_of_sources(tmp_path) != before == compiling.SOURCES
+
+
 def build(sources):
     def double(values):
         assert sources >= 0
