@@ -103,7 +103,7 @@ class RowReader:
         if self._headings is not None:
             return self._of_cells(text)
         parts = _PARTS.split(text)
-        if "=" in parts[-1 if len(parts) < 3 else 1]:
+        if self._gathered or "=" in parts[-1 if len(parts) < 3 else 1]:
             return self._of_protocol(parts)
         self._separator = max(";\t,", key=text.count)
         self._headings = [cell.strip().strip('"') for cell in text.split(self._separator)]
@@ -128,6 +128,8 @@ class RowReader:
             return None
         if self._tag in self._headings:
             axis = cells[min(self._headings.index(self._tag), len(cells) - 1)]
+        if self._separator != ",":
+            cells = [cell.replace(",", ".") for cell in cells]  # decimal commas
         columns = self._columns_of(axis, self._headings)
         if columns.time >= len(cells):
             raise RowError(f"line {self._lines}: has {len(cells)} cells, the heading line has {len(self._headings)}")
@@ -135,10 +137,10 @@ class RowReader:
 
     def _of_protocol(self, parts: Sequence[str]) -> Row | None:
         """The row before this line's: fields of one axis and time may come in several lines."""
+        if len(parts) < 3:
+            raise RowError(f"line {self._lines}: must have a measurement with tags, fields and a time stamp")
         names = dict(_pair(text) for text in _FIELDS.split(parts[0])[1:])
         fields = dict(_pair(text) for text in _FIELDS.split(parts[1]))
-        if len(parts) < 3:
-            raise RowError(f"line {self._lines}: has no time stamp")
         axis, time = names.get(self._tag, ALONE), _number(parts[2]) * NANOSECOND
         before, gathered = self._gathered.get(axis, (np.nan, {}))
         if time == before:

@@ -269,7 +269,7 @@ class FleetWatch:
         ``tag``: name of the column, or of the tag, that names the axis.
         """
         reader, told = RowReader(self._fleet, tag), set[str]()
-        last = monotonic()
+        last, rows, looked = monotonic(), 0, False
         for line in lines:
             if line is None:  # nothing came for a while
                 waited = monotonic() - last
@@ -285,7 +285,12 @@ class FleetWatch:
                     told.add(kind)
                 continue
             if row is not None and np.isfinite(row.time):
-                yield from self.add(row)
+                rows += 1
+                for look in self.add(row):
+                    looked = True
+                    yield look
+        if not looked:
+            print(f"hydro: no look: {rows} rows came, and a look needs some seconds of rows", file=sys.stderr)
 
     def _keep(self, look: Look, changed: bool) -> None:
         """Write the memory of the alarms, and a row of the table if one is due."""

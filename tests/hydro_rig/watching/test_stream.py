@@ -68,6 +68,7 @@ def in_csv(lines, values):
     "lines",
     [
         ["time [ms];axis;position [mm];pressure_a [bar];command [%]", "1500;lift;-12.5;31;25"],
+        ["time [s];axis;position [mm];pressure_a [bar];command [V]", "1,5;lift;-12,5;31,0;2,5"],
         ["\ufefftime [s],pressure_a [MPa],axis,position [m],command [V]\r\n", '"1.5",3.1,"lift",-0.0125,2.5\r\n'],
     ],
 )
@@ -95,6 +96,22 @@ def test_line_protocol_is_read_with_escaped_names_and_a_map():
     sent = [in_protocol("m", "lift 3", {r"pos\ x": -12.5, "u": 5.0}, time) for time in (2.5, 3.0)]
     back = [other.row(line) for line in sent][1]
     assert (back.axis, back.time, back.values[COMMAND]) == ("lift 3", 2.5, 0.5)
+
+
+def test_a_truncated_line_of_line_protocol_is_left_out():
+    reader = RowReader(FLEET)
+    for line in ("plc,axis=lift", "plc,axis=lift u=5"):
+        with pytest.raises(RowError, match="line "):
+            reader.row(line)
+    assert reader.row("plc,axis=lift u=5 1700000000250000000") is None
+    with pytest.raises(RowError, match="line 4: "):
+        reader.row("plc")
+
+
+@pytest.mark.parametrize("count", [0, 1, 4])
+def test_rows_that_do_not_fill_a_look_are_counted(count, healthy, tmp_path, capsys):
+    assert not list(fleet_in(tmp_path).looks(healthy[:count]))
+    assert f"{max(count - 1, 0)} rows" in capsys.readouterr().err
 
 
 def test_what_is_no_row_is_refused_with_its_line():
