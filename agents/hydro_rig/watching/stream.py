@@ -4,6 +4,7 @@ A look takes the newest seconds of an axis, checks the wiring as ``hydro diagnos
 the leakage head, with the estimator at rest or in doubt, and adds the reading to the shipped alarm.
 """
 
+import hashlib
 import json
 import sys
 from collections import deque
@@ -81,6 +82,7 @@ class AxisWatch:
 
     def __init__(self, name: str, axis: Axis) -> None:
         self.name, self.axis, self.task = name, axis, axis.task
+        self._task_digest = hashlib.sha256(axis.task.model_dump_json().encode()).hexdigest()
         settings = AlarmSettings.load(config_folder() / "agents" / "alarm.yaml")
         self._alarm, self.interval = LeakAlarm(settings), settings.interval
         self.memory: AlarmState = self._alarm.begin(1)
@@ -212,16 +214,22 @@ class AxisWatch:
     def kept(self) -> dict[str, Any]:
         """What a restart needs (JSON)."""
         memory = {name: values.tolist() for name, values in self.memory._asdict().items()}
-        return {"condition": self.condition.value, "since": self.since, "alarm": memory, "repaired": self.repaired}
+        own = {"condition": self.condition.value, "since": self.since, "repaired": self.repaired}
+        return {**own, "alarm": memory, "task": self._task_digest}
 
     def restore(self, kept: dict[str, Any]) -> None:
-        """Take over what :meth:`kept` gave."""
+        """Take over what :meth:`kept` gave for the same task, and say so."""
+        if kept.get("task", self._task_digest) != self._task_digest:
+            print(f"hydro: axis '{self.name}' starts anew: the memory is that of another rig or task", file=sys.stderr)
+            return
         try:
             self.condition, self.since = Condition(kept["condition"]), float(kept["since"])
             self.repaired = str(kept["repaired"])
             self.memory = AlarmState(**{name: np.array(values) for name, values in kept["alarm"].items()})
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigurationError(f"the memory of hydro watch: axis '{self.name}': {reason(error)}") from None
+        said = f"'{self.condition}' since {self.since:g} s"
+        print(f"hydro: axis '{self.name}' goes on from the memory of an earlier call: {said}", file=sys.stderr)
 
 
 class FleetWatch:
