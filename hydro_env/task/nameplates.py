@@ -19,6 +19,8 @@ STRUCTURE_SHARE, STRUCTURE_DAMPING = 0.5, 0.02  # share of the mass behind a str
 ASSUMED_ACCURACY = 2e-4  # of the stroke: largest constant error of the position sensor that follows from a rig
 COIL_RESISTANCE = 2.5  # Ω; only its ratio to the amplifier's gain counts
 BANDWIDTH = 502.654824574367  # rad/s; 80 Hz
+LARGEST_LAP = 0.4  # of full stroke, that a flow curve gives: its range ends below half a stroke
+WORST_FIT = 0.1  # of full flow: largest difference to a point of a flow curve
 
 Figures = Mapping[str, Any]  # numbers in SI, and texts, by the keys of the questions
 
@@ -154,11 +156,12 @@ def _piston_mass(figures: Figures) -> float:
     return float(STEEL * (1.2 * figures["stroke"] * rod + 0.5 * figures["bore"] * bore))
 
 
-def lap_and_knee(curve: str) -> tuple[float, float, float, float]:
+def lap_and_knee(curve: str, lap: float | None = None) -> tuple[float, float, float, float]:
     """Overlap, position and opening of the knee, and what they leave, that fit the flow curve of a catalogue best.
 
     Args:
         curve: points of signal and flow at the rated drop, each in % of full: ``20%:4%, 50%:30%, 100%:100%``.
+        lap: overlap that is known, of full stroke.
 
     Returns:
         Overlap, of full stroke; position and opening of the knee (:func:`~hydro_env.plant.parts.valve.edge_openings`);
@@ -167,7 +170,10 @@ def lap_and_knee(curve: str) -> tuple[float, float, float, float]:
     Raises:
         ValueError: these are no rising points that end at 100 % of both.
     """
-    points = [[in_si(part.strip(), "1") for part in point.split(":")] for point in curve.split(",")]
+    try:
+        points = [[in_si(part.strip(), "1") for part in point.split(":")] for point in curve.split(",")]
+    except ValueError:
+        points = [[]]
     if any(len(point) != 2 or not all(isinstance(part, float) for part in point) for point in points):
         raise ValueError("must be points SIGNAL:FLOW in %")
     signal, flow = np.array(points).T
@@ -180,7 +186,8 @@ def lap_and_knee(curve: str) -> tuple[float, float, float, float]:
         raise ValueError("must be three points or more that rise from 0 % on")
     if signal[-1] != 1.0 or flow[-1] != 1.0:
         raise ValueError("must end at 100%:100%")
-    overlap, knee = np.meshgrid(np.linspace(0.0, 0.5, 251), np.linspace(0.01, 0.99, 99), indexing="ij")
+    laps = np.linspace(0.0, LARGEST_LAP, 201) if lap is None else lap
+    overlap, knee = np.meshgrid(laps, np.linspace(0.01, 0.99, 99), indexing="ij")
     beyond = np.maximum(signal - overlap[..., None], 0.0) / (1.0 - overlap[..., None])
     above = np.maximum(beyond - knee[..., None], 0.0) / (1.0 - knee[..., None])
     below = np.minimum(beyond / knee[..., None], 1.0) - above  # flow = above + opening at the knee · below
@@ -188,15 +195,34 @@ def lap_and_knee(curve: str) -> tuple[float, float, float, float]:
     opening = np.clip(((flow - above) * below).sum(-1) / weight, 0.01, 0.99)
     rest = np.abs(flow - above - opening[..., None] * below)
     best = np.unravel_index(np.argmin((rest**2).sum(-1)), knee.shape)
-    return float(overlap[best]), float(knee[best]), float(f"{opening[best]:.3g}"), float(rest[best].max())
+    lap, position, part = (rounded(float(values[best])) for values in (overlap, knee, opening))
+    return lap, position, part, float(rest[best].max())
+
+
+def curve_fit(figures: Figures) -> tuple[float, float, float, float] | None:
+    """:func:`lap_and_knee` of the flow curve among figures, with the lap that they give.
+
+    Raises:
+        ConfigurationError: no lap and knee come near the curve.
+    """
+    if "flow_curve" not in figures:
+        return None
+    curve, lap = figures["flow_curve"], figures.get("overlap")
+    fit = lap_and_knee(curve, lap)
+    if fit[-1] > WORST_FIT:
+        band = "a dead band" if lap is None else f"a dead band of {100 * lap:.3g} %"
+        raise ConfigurationError(
+            f"flow-curve '{curve.strip()[:40]}': the model holds two straight lines beyond {band}; the nearest differ "
+            f"by {100 * fit[-1]:.2g} % of full flow, allowed are {100 * WORST_FIT:g} %"
+        )
+    return fit
 
 
 def _valve(figures: Figures) -> dict[str, Any]:
-    curve, lap_of_curve = {}, 0.0
-    if "flow_curve" in figures:
-        lap_of_curve, position, opening, _ = lap_and_knee(figures["flow_curve"])
-        curve = {"knee_position": position, "knee_opening": opening}
-    overlap = figures.get("overlap", lap_of_curve)
+    curve, overlap = {}, figures.get("overlap", 0.0)
+    fit = curve_fit(figures)
+    if fit:
+        overlap, curve["knee_position"], curve["knee_opening"], _ = fit
     underlap = 0.002 if overlap else 0.01
     if "null_flow" in figures:
         drop = math.sqrt(figures.get("rated_drop", 70.0 * BAR) / figures["supply_pressure"])
@@ -204,11 +230,10 @@ def _valve(figures: Figures) -> dict[str, Any]:
         if overlap:  # rounder edges let this flow pass over their overlap
             share = math.sqrt(share * (share + 2.0 * overlap / (1.0 - overlap)))
         underlap = rounded(share, "%")
-    if figures.get("edges") == "sharp":  # all four are open by the lap at the null
-        lap = 0.0 if overlap else -0.5 * underlap / (1.0 - 0.5 * underlap)
-        overlap, underlap = rounded(lap, "%"), 0.0
-    else:
-        overlap = lap_of_curve
+    if figures.get("edges") == "sharp":
+        if not overlap and not fit:  # all four are open by the lap at the null
+            overlap = rounded(-0.5 * underlap / (1.0 - 0.5 * underlap), "%")
+        underlap = 0.0
     slew_limit = rounded(0.2 * figures.get("bandwidth", BANDWIDTH))
     if "step_time" in figures:
         slew_limit = rounded(1 / figures["step_time"], digits=4)

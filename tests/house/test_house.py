@@ -37,10 +37,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 62_000,
-    "hydro_agents": 104_100,
+    "hydro_env": 62_100,
+    "hydro_agents": 104_200,
     "hydro_rig": 107_600,
-    "tests": 175_100,
+    "tests": 176_200,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

@@ -15,8 +15,10 @@ from hydro_agents.rigs.rig_file import QUESTIONS, Question, answers_from, parsed
 from hydro_agents.rigs.rig_file import new_rig as written_rig
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
+from hydro_env.task.nameplates import Figures, curve_fit
 
 FLEET_FILE = "fleet.yaml"
+POOR_FIT = 0.03  # of full flow: from here on the command tells the difference to a flow curve
 
 
 def new_rig(
@@ -60,7 +62,8 @@ def new_rig(
     try:
         if asks:
             _ask([question for question in QUESTIONS if question.key not in given], given)
-        text, rig = written_rig(answers_from(given), str(output))
+        answers = answers_from(given)
+        text, rig = written_rig(answers, str(output))
     except (ConfigurationError, EOFError, KeyboardInterrupt) as error:
         if asks:
             again = " ".join(f'{key.replace("_", "-")}="{answer}"' for key, answer in given.items())
@@ -72,6 +75,7 @@ def new_rig(
     say(
         f"{output}: {len(given)} values given, ranges for {len(rig.randomisation)} uncertain ones",
         f"next: hydro check-rig --rig {output}",
+        *_poor_fit(answers),
     )
 
 
@@ -95,19 +99,30 @@ def _write_fleet(table: Path, folder: Path, overwrite: bool) -> None:
     written, lacking = {}, 0
     for axis, texts in axes.items():
         try:
-            text, rig = written_rig(answers_from(texts), files[axis])
+            answers = answers_from(texts)
+            text, rig = written_rig(answers, files[axis])
         except ConfigurationError as error:
             lacking += 1
             say(f"{axis}: not written: {str(error).removeprefix('new-rig: ')}")
             continue
         write_text(folder / files[axis], text)
         written[axis] = {"rig": files[axis]}
-        say(f"{axis}: {folder / files[axis]}: {len(texts)} values given, ranges for {len(rig.randomisation)}")
+        say(
+            f"{axis}: {folder / files[axis]}: {len(texts)} values given, ranges for {len(rig.randomisation)}",
+            *_poor_fit(answers),
+        )
     if written:
         write_yaml(folder / FLEET_FILE, {"axes": written})
         say(f"next: hydro trend RECORDINGS --fleet {folder / FLEET_FILE}")
     if lacking:
         raise ConfigurationError(f"{table}: {lacking} of {len(axes)} axes have no file; complete their rows")
+
+
+def _poor_fit(figures: Figures) -> list[str]:
+    fit = curve_fit(figures)
+    if fit is None or fit[-1] <= POOR_FIT:
+        return []
+    return [f"flow-curve: the rig's own differs from it by up to {100 * fit[-1]:.2g} % of full flow"]
 
 
 def _all_figures() -> str:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from hydro_env.errors import ConfigurationError
 from hydro_env.mistakes import one_of
 from hydro_env.plant.parameters import PARAMETER_UNITS
-from hydro_env.task.nameplates import FIELDS, lap_and_knee, position_error, rig_of, rig_values
+from hydro_env.task.nameplates import FIELDS, curve_fit, lap_and_knee, position_error, rig_of, rig_values
 from hydro_env.task.rig import Rig
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.units import FACTORS, UNITS, in_si, split_quantity
@@ -283,7 +283,7 @@ def new_rig(figures: Mapping[str, Any], source: str) -> tuple[str, Rig]:
     """
     rig = rig_of(figures, source)
     texts = written_answers(figures)
-    origins = _origins(texts)
+    origins = _origins(texts, curve_fit(figures))
     given = {path: texts[key] for key, path in FIELDS.items() if key in texts}
     text = HEADER.format(source=source)
     values = rig_values(figures)
@@ -319,7 +319,7 @@ def new_rig(figures: Mapping[str, Any], source: str) -> tuple[str, Rig]:
     return text, rig
 
 
-def _origins(texts: Mapping[str, str]) -> dict[str, str]:
+def _origins(texts: Mapping[str, str], fit: tuple[float, ...] | None) -> dict[str, str]:
     origins = dict(ORIGINS)
     if "step_time" in texts:
         origins["valve.slew_limit"] = f"computed: full stroke in {texts['step_time']}"
@@ -330,13 +330,16 @@ def _origins(texts: Mapping[str, str]) -> dict[str, str]:
     if "full_current" in texts:
         sent = f"{texts['full_current']}, which the amplifier sends at a command of 10 V"
         origins["valve.amplifier_gain"] = f"computed: full opening at {sent}"
-    if "flow_curve" in texts:
-        rest = 100.0 * lap_and_knee(texts["flow_curve"])[-1]
-        origins["valve.overlap"] = f"fitted with the knee to the flow curve; differs by up to {rest:.2g} % of full flow"
-        origins |= {"valve.knee_position": "fitted to the flow curve", "valve.knee_opening": "fitted to the flow curve"}
+    if fit:
+        fitted = f"fitted to the flow curve; differs by up to {100.0 * fit[-1]:.2g} % of full flow"
+        origins |= dict.fromkeys(("valve.overlap", "valve.knee_position", "valve.knee_opening"), fitted)
     if texts.get("edges") == "sharp":
         origins["valve.underlap"] = "given: sharp edges"
-        origins["valve.overlap"] = "computed from the null flow: all four edges are open at the null"
+        if "null_flow" in texts and (fit or "overlap" in texts):
+            origins["valve.underlap"] += ", which pass no null flow with this lap"
+        elif not fit:
+            source = "computed from the null flow" if "null_flow" in texts else "assumed"
+            origins["valve.overlap"] = f"{source}: all four edges are open at the null"
     if texts.get("line_waves") == "yes":
         origins |= {"lines.length_a": "given", "lines.length_b": "given"}
     if "line_length" in texts:

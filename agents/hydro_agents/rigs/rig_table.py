@@ -24,6 +24,7 @@ def figures_of_table(path: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
     text = read_text(path)
     rows = [row for row in csv.reader(text.splitlines(), delimiter=max(";\t,", key=text.count)) if any(row)]
     keys = {question.name: question.key for question in QUESTIONS}
+    numbers = {question.key for question in QUESTIONS if question.unit}
     columns, others = {}, []  # key and unit of a figure by place
     for place, heading in enumerate(rows[0] if rows else []):
         match = _HEADING.fullmatch(heading)
@@ -39,9 +40,13 @@ def figures_of_table(path: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
     for row in rows[1:]:
         answers = {}
         for place, (key, unit) in columns.items():
-            cell = _DECIMAL_COMMA.sub(".", row[place].strip()) if place < len(row) else ""
+            cell = row[place].strip() if place < len(row) else ""
+            if key in numbers:  # commas part the points of a curve and words
+                cell = _DECIMAL_COMMA.sub(".", cell)
+                if unit and cell[-1:].isdigit():
+                    cell = f"{cell} {unit}"
             if cell:
-                answers[key] = f"{cell} {unit}" if unit and cell[-1].isdigit() else cell
+                answers[key] = cell
         name = answers.pop(AXIS, "")
         if not name or name in axes:
             raise ConfigurationError(

@@ -1,6 +1,7 @@
 """A rig's file from nameplates: what it holds, what it computes, what it refuses, and how it asks."""
 
 import os
+import re
 import subprocess
 import sys
 
@@ -106,7 +107,32 @@ def test_a_flow_curve_gives_lap_and_knee(overlap, knee, opening):
     found = plant_coefficients(rig.plant)
     assert rig.plant.valve.overlap == pytest.approx(overlap, abs=0.01)
     assert [100 * edge_openings(signal, found)[0] for signal in signals] == pytest.approx(flows, abs=1.0)
-    assert "fitted with the knee to the flow curve; differs by up to 0" in text
+    assert "fitted to the flow curve; differs by up to 0" in text
+
+
+@pytest.mark.parametrize(("beside", "lap"), [({"overlap": "5 %"}, 0.05), ({"edges": "sharp"}, 0.122)])
+def test_what_is_given_beside_a_flow_curve_bends_it_no_further_than_the_file_says(beside, lap):
+    """The points are met as closely as the origin of the knee tells; sharp edges keep the lap of the curve."""
+    points = {0.15: 0.02, 0.4: 0.2, 0.7: 0.55, 1.0: 1.0}
+    text, rig = made(flow_curve="15%:2%, 40%:20%, 70%:55%, 100%:100%", **beside)
+    assert rig.plant.valve.overlap == pytest.approx(lap)
+    assert "null flow" not in text
+    valve = plant_coefficients(rig.plant.replace(valve={"underlap": 0.0, "null_shift": 0.0}))
+    [told] = re.findall(r"knee_position: .* differs by up to (\S+) % of full flow", text)
+    largest = max(abs(edge_openings(signal, valve)[0] - flow) for signal, flow in points.items())
+    assert 100 * largest == pytest.approx(float(told), abs=0.1)
+
+
+def test_the_command_tells_a_flow_curve_that_the_rig_meets_poorly(tmp_path):
+    curves = {"good": "20%:4%, 50%:30%, 100%:100%", "poor": "20%:50%, 50%:70%, 80%:83%, 100%:100%"}
+    for name, curve in curves.items():
+        answer = done("new-rig", *words(LEAST), f"flow-curve={curve}", "--output", tmp_path / f"{name}.yaml")
+        assert ("4.4 % of full flow" in answer.stdout) == (name == "poor")
+
+
+def test_the_range_of_a_fitted_lap_is_an_allowed_one():
+    _, rig = made(flow_curve="96%:1%, 99%:2%, 100%:100%")
+    assert 0.0 < rig.plant.valve.overlap * rig.randomisation["valve.overlap"].factor[1] < 0.5
 
 
 @pytest.mark.parametrize("signal", ["5 V", "40 mA", "10 V"])
@@ -183,6 +209,15 @@ WRONG = {
     "more than everything": ({"overlap": "120 %"}, "0 to 100 %"),
     "a curve that falls": ({"flow_curve": "20%:30%, 50%:20%, 100%:100%"}, "that rise from 0 %"),
     "a curve in l/min": ({"flow_curve": "2 V:3 l/min"}, "flow-curve '2 V:3 l/min': "),
+    "a curve that the model cannot hold": (
+        {"flow_curve": "20%:60%,50%:70%,80%:75%,100%:100%"},
+        "flow-curve '20%:60%,50%:70%,80%:75%,100%:100%': ",
+    ),
+    "a lap beside another curve": (
+        {"flow_curve": "20%:20%, 50%:50%, 100%:100%", "overlap": "40 %"},
+        "flow-curve '20%:20%, 50%:50%, 100%:100%': ",
+    ),
+    "a curve with semicolons": ({"flow_curve": "20%:4%;50%:30%;100%:100%"}, "such as 20%:4%, 50%:30%, 100%:100%"),
     "half a curve": ({"flow_curve": "0%:0%, 20%:4%, 50%:30%"}, "end at 100%:100%"),
     "no share that swings": ({"structure_frequency": "6 Hz", "structure_share": "0 %"}, "structure-share '0 %'"),
     "sensors at the valve without lines": ({"pressure_sensors": "valve"}, "line-length"),
@@ -236,15 +271,18 @@ def test_on_a_terminal_it_asks_again_until_it_can_read_the_answer(tmp_path):
 
 def test_a_table_of_nameplates_becomes_files_of_rigs_and_says_what_lacks(tmp_path):
     (tmp_path / "plates.csv").write_text(
-        "axis;bore [mm];rod [mm];stroke [mm];rated-flow [l/min];supply pressure [bar];mass [kg];place\n"
-        "press;50,5;28;400;40;16 MPa;100;hall 1\n"
-        "lift;50;28;400;;160;100;hall 2\n",
+        "axis;bore [mm];rod [mm];stroke [mm];rated-flow [l/min];supply pressure [bar];mass [kg];place;"
+        "flow-curve [%]\n"
+        "press;50,5;28;400;40;16 MPa;100;hall 1;20%:4%,50%:30%,100%:100%\n"
+        "lift;50;28;400;;160;100;hall 2\n"
+        "tilt;50;28;400;40;160;100;hall 2;20:4,50:30,100:100\n",
         encoding="utf-16",
     )
     answer = hydro("new-rig", "--table", tmp_path / "plates.csv", "-o", tmp_path / "rigs")
     assert answer.returncode == 2
     assert "lift: not written: rated-flow" in answer.stdout
     assert "place" in answer.stdout
+    assert "tilt: not written: flow-curve '20:4,50:30,100:100': " in answer.stdout
     assert {path.name for path in (tmp_path / "rigs").iterdir()} == {"press.yaml", "fleet.yaml"}
     assert yaml.safe_load((tmp_path / "rigs" / "fleet.yaml").read_text()) == {"axes": {"press": {"rig": "press.yaml"}}}
     rig = read_rig(tmp_path / "rigs" / "press.yaml")
