@@ -190,7 +190,7 @@ def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:
     table = pd.DataFrame({"begin_s": windows.begin, "end_s": windows.end}).round(6)
     sizes = {"leak": reading.flow_lpm, "low": reading.low_lpm, "high": reading.high_lpm}
     for name, values in sizes.items():
-        table[name] = values.round(5)
+        table[name] = np.maximum(values, 0.0).round(5)
     return table.assign(counts=reading.answers, fault=reading.fault, remark=reading.remarks)
 
 
@@ -202,7 +202,7 @@ def in_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "verdict": verdict.kind.value,
         "exit_code": EXIT_CODES[verdict.kind],
         "reason": verdict.why,
-        "leak": None if verdict.leak is None else verdict.leak._asdict(),
+        "leak": None if verdict.leak is None else verdict.leak.positive._asdict(),
         "windows": len(diagnosis.windows),
         "findings": lines_of(diagnosis.checked.findings),
     }

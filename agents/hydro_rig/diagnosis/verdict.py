@@ -43,10 +43,15 @@ class Leak(NamedTuple):
     low: float
     high: float
 
+    @property
+    def positive(self) -> Self:
+        """Without sizes below zero, for people; NaN stays."""
+        return type(self)(*np.maximum(self, 0.0).tolist())
+
     def text(self) -> str:
         """``1.02 [0.98, 1.06] l/min at 100 bar``; the width of the interval sets the number of decimals."""
         decimals = min(decimals_for(self.high - self.low, 2), 4)
-        parts = (number(max(part, 0.0), decimals) for part in self)
+        parts = (number(part, decimals) for part in self.positive)
         return "{} [{}, {}] l/min at 100 bar".format(*parts)
 
 

@@ -197,6 +197,13 @@ def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) ->
     return stuck | ended, f"is cut off at {_shown(signal, levels[0])}" if cut else "is stuck at one value", Weight.FAULT
 
 
+def stands_still(signal: str, samples: Sampled, config: TaskConfig) -> bool:
+    """Whether all readings of a measured signal are equal while the other channels show that it must have changed."""
+    values = samples.signals[MEASURED.index(signal)]
+    equal = signal != "command" and len(np.unique(values[np.isfinite(values)])) == 1
+    return equal and _must_change(samples.signals, signal, 0.0, samples, config)
+
+
 def _must_change(during: Floats, signal: str, least: float, samples: Sampled, config: TaskConfig) -> bool:
     """Whether the other channels (5, n) of a stretch show a motion that ``signal`` cannot miss.
 

@@ -31,6 +31,7 @@ from hydro_rig.diagnosis.oil import referred, temperature_of
 from hydro_rig.diagnosis.verdict import NO_LEAK, Kind, Leak
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.two_stage import TwoStageDetector
+from hydro_rig.recordings.channels import stands_still
 from hydro_rig.recordings.columns import MEASURED
 from hydro_rig.recordings.findings import Finding, Weight, lines_of
 from hydro_rig.recordings.quality import check_recording
@@ -67,7 +68,7 @@ class Look(NamedTuple):
 
     def fields(self) -> dict[str, Any]:
         """For another program; ``None``: unknown."""
-        sizes = {name: finite(size, 4) for name, size in self.leak._asdict().items()}
+        sizes = {name: finite(size, 4) for name, size in self.leak.positive._asdict().items()}
         return {"state": self.condition.value, "since": self.since, "cause": self.cause, **sizes}
 
     def line(self, protocol: bool) -> str:
@@ -94,6 +95,7 @@ class AxisWatch:
         self._due = np.nan
         self._causes: deque[str] = deque(maxlen=LATEST)
         self._looks, self._since_look, self._found = 0, 0, list[Finding]()
+        self._still = set[str]()  # signals that stand still while the others move
         self.repaired = ""  # time of the newest row of the table that is marked as that of a new seal
         self._sure = -np.inf  # s, of the last answer whose whole interval lies below the limit
 
@@ -134,6 +136,7 @@ class AxisWatch:
                 checked = check_recording(rows, self.task)
                 self._found = [one for one in checked.findings if one.weight in (Weight.SEVERE, Weight.FAULT)]
                 samples = checked.samples
+                self._still = {name for name in MEASURED if stands_still(name, samples, self.task)}
             else:
                 first = int(np.searchsorted(rows.time, rows.time[-1] - MARGIN * WINDOW))
                 samples = sampled(rows.part(first, len(rows.time)), self.task)
@@ -141,7 +144,8 @@ class AxisWatch:
             return self._told(now, Condition.CHECK, str(error))
         severe = [one for one in (*self._found, *samples.findings) if one.weight is Weight.SEVERE]
         if severe:
-            return self._told(now, Condition.CHECK, severe[0].line())
+            condition = Condition.FAILURE if severe[0].signal in self._still else Condition.CHECK
+            return self._told(now, condition, severe[0].line())
         windows = self._newest_window(bridged(samples)[0], now)
         if not len(windows):
             return self._told(now, Condition.CHECK, "fewer rows than one window")
@@ -156,8 +160,12 @@ class AxisWatch:
             self._sure = now
         condition, cause = self._summed_up(reading, leak, activity_of(windows.signals, samples.period))
         if condition is Condition.GOOD and now - self._sure > UNSURE:
-            why = reading.remarks[0] or "the interval of the leak is wide"
-            condition, cause = Condition.CHECK, f"cannot tell: {why}"
+            why = "the interval of the leak does not lie below its limit"
+            if leak.low > self.axis.limit:
+                why = "the leak seems to exceed its limit, and the alarm gathers more looks"
+            elif blind:
+                why = "without pressures a faulty seal can look healthy"
+            condition, cause = Condition.CHECK, f"cannot tell: {reading.remarks[0] or why}"
         if self._found:
             condition, cause = Condition.FAILURE, self._found[0].line()
         cause = "; ".join(filter(None, [cause, *lines_of(rows.findings)]))  # of the thermometer

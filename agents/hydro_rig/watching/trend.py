@@ -162,7 +162,7 @@ def trend_of(name: str, rows: pd.DataFrame, axis: Axis, error: str, now: float |
         found = NO_GROWTH  # the last reading is far above the trend
     states = sorted(reasons, key=SERIOUS)
     reason = "; ".join(reasons[state] for state in states if reasons[state])
-    leak = latest if np.isnan(found.level.value) else found.level
+    leak = Interval(*np.maximum(latest if np.isnan(found.level.value) else found.level, 0.0).tolist())
     return AxisTrend(name, rows, states, reason, found, leak, axis.limit, last, now)
 
 

@@ -6,7 +6,7 @@ import pytest
 from hydro_agents.detection.detector import Cause, Reading, Why
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_rig.diagnosis.verdict import Case, Kind, Limits, combined, judge
+from hydro_rig.diagnosis.verdict import NO_LEAK, Case, Kind, Leak, Limits, combined, judge
 from hydro_rig.recordings.findings import Finding, Weight
 
 LIMITS = Limits(0.03, 0.1)
@@ -106,6 +106,11 @@ def test_limits_grow_with_the_flow_of_the_rig_and_stay_if_the_task_gives_its_own
     assert Limits.of(task_config(default, plant=wide)) == pytest.approx((0.12, 0.4))
     own = {"leakage": {"class_bounds": [0.05, 0.3, 1.0]}}
     assert Limits.of(task_config(task_config(default, **own), plant=wide)) == (0.05, 0.1)
+
+
+def test_a_person_reads_no_size_below_zero():
+    assert Leak(0.01, -0.02, 0.04).positive == Leak(0.01, 0.0, 0.04)
+    assert np.isnan(NO_LEAK.positive).all()
 
 
 def test_a_leak_that_has_changed_is_that_of_the_end():

@@ -16,11 +16,12 @@ from refusal import refused
 from hydro_agents.learning.loading import shipped
 from hydro_env import TaskConfig, task_config
 from hydro_rig.diagnosis.oil import Oil
+from hydro_rig.diagnosis.verdict import Leak
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.simulated import record_axis
 from hydro_rig.watching.fleet import Axis, Fleet
 from hydro_rig.watching.rows import MOST_LINES, SIGNALS, RowError, RowReader, broker, in_protocol, lines_of
-from hydro_rig.watching.stream import FleetWatch
+from hydro_rig.watching.stream import KEPT, FleetWatch, Look
 from hydro_rig.watching.table import read_table, write_table
 from hydro_rig.watching.trend import Condition
 
@@ -216,6 +217,31 @@ WIRING = {
     "position stands still": lambda rows: np.where(np.arange(6) == 1, 1.0, rows),
     "every fifth row alone": lambda rows: rows[::5],
 }
+
+
+def test_a_size_below_zero_is_told_as_zero():
+    fields = Look("lift", 4.0, Condition.GOOD, 4.0, "", Leak(0.01, -0.02, np.nan), 40.0).fields()
+    assert (fields["value"], fields["low"], fields["high"]) == (0.01, 0.0, None)
+
+
+def test_a_first_look_above_the_limit_has_another_reason_than_one_about_it(leaking, tmp_path):
+    causes = set()
+    for limit in (0.01, 0.3):
+        usual = FLEET.usual._replace(limit=limit)
+        look = next(FleetWatch(Fleet(usual), tmp_path / f"{limit}.csv").looks(leaking))
+        assert look.condition is Condition.CHECK
+        assert (look.leak.low > limit) == (limit == 0.01)
+        causes.add(look.cause)
+    assert len(causes) == 2
+
+
+def test_a_sensor_that_stops_is_a_failure_also_when_all_rows_are_of_one_value(healthy, tmp_path):
+    rows = cells(healthy)
+    rows[1600:, 2] = rows[1600, 2]
+    looks = list(fleet_in(tmp_path).looks(in_csv(healthy, rows)))
+    begun = [look.condition for look in looks].index(Condition.FAILURE)
+    assert looks[-1].time > looks[begun].time + KEPT
+    assert {look.condition for look in looks[begun:]} == {Condition.FAILURE}
 
 
 @pytest.mark.parametrize("fault", WIRING)
