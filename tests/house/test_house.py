@@ -38,9 +38,9 @@ ROOMS = (
 
 BUDGET = {
     "hydro_env": 62_100,
-    "hydro_agents": 104_200,
+    "hydro_agents": 104_500,
     "hydro_rig": 107_600,
-    "tests": 176_200,
+    "tests": 177_000,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

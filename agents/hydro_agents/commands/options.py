@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -94,12 +95,15 @@ def check_new_file(output: Path, overwrite: bool) -> None:
     """Check before the work that a file can be written.
 
     Raises:
-        ConfigurationError: it exists already and may not be replaced, or is a folder.
+        ConfigurationError: it exists already and may not be replaced, is a folder, or its folder cannot be written.
     """
     if output.is_dir():
         raise ConfigurationError(f"{output}: is a folder; --output needs a file")
     if output.exists() and not overwrite:
         raise ConfigurationError(f"{output}: exists; --overwrite replaces it, --output takes another file")
+    folder = next(parent for parent in output.absolute().parents if parent.exists())
+    if not (folder.is_dir() and os.access(folder, os.W_OK)):
+        raise ConfigurationError(f"{output}: cannot be written: {folder} is no folder in which you may write")
 
 
 def refuse_given(options: Mapping[str, object], why: str) -> None:

@@ -127,7 +127,7 @@ def _geometry(parameters: PlantParameters) -> list[Row]:
     ]
     for position in (-half, 0.0, half):
         for name, volume in zip("ab", chamber_volumes(parameters, position), strict=True):
-            at = _position(position)
+            at = place_text(position)
             rows.append((f"oil in chamber {name}", at, volume / CUBIC_CENTIMETRE, "cm³"))
     return rows
 
@@ -191,14 +191,14 @@ def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
     rows: list[Row] = []
     for position in (-half, -0.5 * half, 0.0, 0.5 * half, half):
         frequency = closed_port_natural_frequency(parameters, position) / (2 * math.pi)
-        rows.append(("natural frequency, ports shut", _position(position), frequency, "Hz"))
-    lowest, at = closed_port_natural_frequency(parameters, softest), _position(softest)
+        rows.append(("natural frequency, ports shut", place_text(position), frequency, "Hz"))
+    lowest, at = closed_port_natural_frequency(parameters, softest), place_text(softest)
     rows.append(("lowest natural frequency", at, lowest / (2 * math.pi), "Hz", "lowest frequency"))
     for position in dict.fromkeys((0.0, softest)):
         stiffness = closed_port_stiffness(parameters, position) * MILLIMETRE / 1e3
-        rows.append(("stiffness, ports shut", _position(position), stiffness, "kN/mm"))
+        rows.append(("stiffness, ports shut", place_text(position), stiffness, "kN/mm"))
     for leak in EXAMINED_LEAKS:
-        damping, at = _figure(_damping, leaking(parameters, leak), place), f"{_position(place)}, {leak_text(leak)}"
+        damping, at = _figure(_damping, leaking(parameters, leak), place), f"{place_text(place)}, {leak_text(leak)}"
         rows.append(("damping ratio, linearised", at, damping, "1", f"damping {leak_text(leak)}"))
     return rows
 
@@ -209,7 +209,8 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
     span = f"worst, {places[0] / MILLIMETRE:+.0f} to {places[-1] / MILLIMETRE:+.0f} mm"
     timed = f"{largest} ({1e3 * task.control_period:g} ms, {1e3 * task.command_latency:g} ms late)"
     plants = {
-        f"{_position(place)}, {leak_text(leak)}": beyond_dead_band(leaking(task.plant, leak)) for leak in EXAMINED_LEAKS
+        f"{place_text(place)}, {leak_text(leak)}": beyond_dead_band(leaking(task.plant, leak))
+        for leak in EXAMINED_LEAKS
     }
     rows: list[Row] = []
     healthy = None
@@ -223,8 +224,8 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
     rows.append((largest, f"{within}, {leak_text(HEALTHY_LEAK)}", _gain(worst), "1/m", "gain in the ranges"))
     try:
         quiet = quiet_gains(task)
-    except HydroError:
-        return rows
+    except HydroError as error:
+        return [*rows, ("recommended gain", str(error), "none", "1/m", "no gain")]
     recommended = quiet.recommended
     rows.append(("recommended gain", friction, recommended, "1/m", "recommended gain"))
     for which, gain, weak in (("own values", quiet.own, healthy), ("worst in the ranges", quiet.worst, worst)):
@@ -254,11 +255,11 @@ def _resonances(task: TaskConfig, place: float, gain: list[Any]) -> list[Row]:
         modes = linearise(plant.replace(friction={"model": "none"}), position=place).modes
         loop = sampled_loop(plant, place, task.control_period, task.command_latency)
     except HydroError:
-        return [("oscillations", _position(place), HELD_NOWHERE, "Hz")]
+        return [("oscillations", place_text(place), HELD_NOWHERE, "Hz")]
     for number, mode in enumerate(modes, 1):
         what = f"oscillation {number}, {RESONATES.get(mode.state.split('_')[0], 'mass on its oil')}"
         frequency = mode.natural_frequency / (2.0 * math.pi)
-        rows.append((what, _position(place), frequency, "Hz", f"resonance {number}"))
+        rows.append((what, place_text(place), frequency, "Hz", f"resonance {number}"))
         rows.append(("its damping ratio", what, mode.damping_ratio, "1", f"resonance {number} alone"))
         for recommended in gain:
             value = complex(np.exp(mode.eigenvalue * task.control_period))
@@ -298,7 +299,8 @@ def _static_stiffness(parameters: PlantParameters, place: float, gain: float) ->
     return sampled_loop(parameters, place).static_stiffness(gain) * MILLIMETRE / 1e3
 
 
-def _position(position: float) -> str:
+def place_text(position: float) -> str:
+    """A position in m as text."""
     return "mid-stroke" if abs(position) < 5e-7 else f"x = {position / MILLIMETRE:+.1f} mm"
 
 

@@ -63,11 +63,13 @@ def brief(rows: Sequence[RigFigure], parameters: PlantParameters) -> list[tuple[
         facts["resonances"] = ", ".join(
             f"{frequency:.3g} Hz ({what}, damping {alone:.2g})" for frequency, what, alone, _ in resonances
         )
-    watch = _watched(figures, figures[healthy].value)
+    verdict, watch = "it works", _watched(figures, figures[healthy].value)
+    if "no gain" in figures:
+        verdict = f"no recommended gain: {figures['no gain'].at}"
     for frequency, what, _, with_gain in resonances:
         if with_gain < 0.0:
             watch.append(f"the recommended gain excites the resonance at {frequency:.3g} Hz ({what}): take less")
-    return [*facts.items(), ("verdict", "; ".join(["it works", *watch]))]
+    return [*facts.items(), ("verdict", "; ".join([verdict, *watch]))]
 
 
 def _resonances(figures: Mapping[str, RigFigure]) -> list[tuple[float, str, float, float]]:
@@ -127,7 +129,7 @@ def check_to_console(
         rig: its file; ``None`` is the paper's.
         period: control period with its unit; default: that of the task.
         latency: of the command, the same.
-        write: takes name, facts, figures and task, to write a page.
+        write: takes name, facts, warnings, figures and task, to write a page.
 
     Raises:
         ConfigurationError: the rig is wrong or cannot work, or the timing is impossible.
@@ -138,11 +140,12 @@ def check_to_console(
     task = timed_task(None, rig, period, latency, "check-rig")
     rows = [*check_rig(given.plant, given.source, task), *sensor_rows(given, task)]
     facts = ConsoleTable(box=None, show_header=False, padding=(0, 2, 0, 0))
-    said = brief(rows, given.plant)
+    said, summary = brief(rows, given.plant), _summary(given)
+    warnings = [*implausible(given.plant), *_short_sensors(task)]
     for fact in said:
         facts.add_row(*fact)
     console = PlainConsole()
-    for line in (f"{name}: {_summary(given)}", *implausible(given.plant), *_short_sensors(task)):
+    for line in (f"{name}: {summary}", *warnings):
         console.print(line, soft_wrap=True)
     console.print(facts)
     if rig is not None:
@@ -156,7 +159,7 @@ def check_to_console(
     cells = [(row.quantity, row.at, row.text(4), row.unit) for row in rows]
     table = Table("", HEADINGS, cells, breaks=breaks)
     console.print(console_table(table, left=(0, 1, 3)))  # narrow enough for a terminal of 80 columns
-    write(name, said, rows, task)
+    write(name, [("rig", summary), *said], warnings, rows, task)
 
 
 def _short_sensors(task: TaskConfig) -> list[str]:

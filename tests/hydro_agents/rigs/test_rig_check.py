@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from command_line import ROOT, assert_one_clear_line, hydro
 
+from hydro_agents.commands.options import check_new_file
 from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
 from hydro_agents.learning import stable_gain
 from hydro_agents.learning.stable_gain import (
@@ -20,10 +21,10 @@ from hydro_agents.learning.stable_gain import (
     weakest,
 )
 from hydro_agents.rigs.check import check_rig, resting_place
-from hydro_agents.rigs.check_page import check_page
+from hydro_agents.rigs.check_page import bode_frequencies, check_page
 from hydro_agents.rigs.check_table import brief, implausible
 from hydro_agents.rigs.rig_file import answers_from, new_rig
-from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ConfigurationError, HydroError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.arrays import equilibrium, plant_coefficients
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parts.valve import edge_openings
@@ -262,8 +263,38 @@ def test_a_rig_with_structure_tells_its_resonances(changes, what, few, monkeypat
 
 def test_the_page_holds_the_figures_and_the_plots(few, tmp_path):
     task = TaskConfig()
-    page = check_page("axis", brief(ROWS, task.plant), ROWS, task).html()
+    page = check_page("axis", brief(ROWS, task.plant), ["supply.pressure: bar meant?"], ROWS, task).html()
     assert page.count("<figure") == 2
+    assert "supply.pressure: bar meant?" in page
+    assert page.count("At mid-stroke, sampled every 5 ms, command 1 ms late.") == 2
     assert all(name in page for name in ("12.57", "recommended gain", "frequency, Hz", "4 l/min"))
     answer = hydro("check-rig", "--output", tmp_path)
     assert_one_clear_line(answer, "is a folder")
+    inside_a_file = tmp_path / "file" / "page.html"
+    inside_a_file.parent.touch()
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        check_new_file(inside_a_file, overwrite=False)
+
+
+def test_a_rig_without_a_quiet_gain_says_why(monkeypatch):
+    """In the verdict, and on the page in place of the plots."""
+    monkeypatch.setattr("hydro_agents.rigs.check.quiet_gains", mock.Mock(side_effect=HydroError("it never rests")))
+    task = TaskConfig(randomisation={})
+    rows = check_rig(task.plant, task=task)
+    said = brief(rows, task.plant)
+    assert "it never rests" in dict(said)["verdict"]
+    assert "it works" not in dict(said)["verdict"]
+    page = check_page("axis", said, [], rows, task).html()
+    assert "No plots: it never rests" in page
+    assert "<figure" not in page
+
+
+def test_a_bode_plot_follows_a_sharp_resonance():
+    tip = {"tip_share": 0.4, "tip_frequency": 2.0 * math.pi * 8.0, "tip_damping_ratio": 0.0005, "spring_stiffness": 0.0}
+    plant = PlantParameters().replace(load=tip, supply={"model": "constant"})
+    loop = sampled_loop(beyond_dead_band(leaking(plant, 0.01)))
+    [mode] = [mode for mode in linearise(plant.replace(friction={"model": "none"})).modes if "tip" in mode.state]
+    centre = mode.natural_frequency / (2.0 * math.pi)
+    near, drawn_at = np.linspace(0.97 * centre, 1.03 * centre, 20_001), bode_frequencies(loop)
+    known, drawn = (20.0 * np.log10(np.abs(loop.frequency_response(at))) for at in (near, drawn_at))
+    assert np.interp(near, drawn_at, drawn) == pytest.approx(known, abs=2.0)  # dB
