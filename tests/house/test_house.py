@@ -39,7 +39,7 @@ ROOMS = (
 BUDGET = {
     "hydro_env": 62_100,
     "hydro_agents": 104_500,
-    "hydro_rig": 107_600,
+    "hydro_rig": 108_200,
     "tests": 177_000,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""

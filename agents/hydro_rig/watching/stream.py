@@ -323,7 +323,7 @@ class FleetWatch:
             del self._best[look.axis]
 
     def _write(self, look: Look, best: Look) -> None:
-        kind = {Condition.GOOD: Kind.HEALTHY, Condition.CHECK: Kind.UNKNOWN, Condition.FAILURE: Kind.OTHER}
+        kind = {Condition.GOOD: Kind.HEALTHY, Condition.CHECK: Kind.UNKNOWN}
         verdict = kind.get(look.condition, Kind.OTHER)
         if self.axes[look.axis].memory.alarm[0]:
             verdict = Kind.LEAK
