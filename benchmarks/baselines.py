@@ -4,14 +4,16 @@
 
 Each trains on ``gym.make("ServoHydraulic-v0")``, nothing underneath, and is judged deterministically on 600 test
 episodes; the curve is that of 120 validation episodes. Off-policy algorithms get 0.3 of the steps. Beside them stand
-controllers. The folder keeps finished trainings; ``baselines.json`` in it holds algorithm → seed → curve and returns.
-Report from it: task, version, steps, algorithm and settings, seeds, mean return and its standard deviation over
-episodes, interquartile mean over seeds and episodes with its interval, error relative to flow linearisation, failures.
+controllers. The folder keeps finished trainings; its ``baselines_STEPS.json`` holds algorithm → seed → curve and
+returns. Report: task, version, steps, algorithm and settings, seeds, return with its standard deviation over episodes,
+interquartile mean over seeds and episodes with its interval, error relative to flow linearisation, failures.
 """
 
 import json
+import sys
 import time
 from collections.abc import Iterator, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +32,7 @@ from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import EVALUATION, LEARNING, LEARNING_CURVE
 from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig, __version__
-from hydro_env.files import write_text
+from hydro_env.files import read_json, write_text
 from hydro_env.types import Floats
 
 ALGORITHMS: Mapping[str, tuple[Any, str, float]] = {  # with the policy, and the share of the steps
@@ -65,25 +67,23 @@ def judged(controller: Controller, cases: Cases) -> dict[str, Any]:
     }
 
 
-def trained(name: str, seed: int, steps: int, file: Path) -> dict[str, Any]:
-    """What a training learned, and when; kept in a file."""
+def train(name: str, seed: int, steps: int, file: Path) -> None:
+    """Write what a training learned, and when, to a file, if there is none yet."""
     if file.exists():
-        kept: dict[str, Any] = json.loads(file.read_text())
-        return kept
+        return
     torch.set_num_threads(1)
     kind, policy, share = ALGORITHMS[name]
     start = LEARNING.training(seed, 1000)[0]
     model = kind(policy, make_vec_env("ServoHydraulic-v0", seed=start), seed=seed, device="cpu")
     curve, began = [], time.perf_counter()
-    for _ in range(POINTS):
+    while model.num_timesteps < share * steps:  # whole rollouts, as the algorithm comes
         model.learn(round(share * steps / POINTS), reset_num_timesteps=False)
         seen = judged(model, Cases(np.array(LEARNING_CURVE.take(120))))
         curve.append([model.num_timesteps, float(np.mean(seen["returns"]))])
         print(f"{name}, seed {seed}: {curve[-1][0]} periods, return {curve[-1][1]:.2f}", flush=True)
     seconds = round(time.perf_counter() - began)
-    found = {"curve": curve, "seconds": seconds, **judged(model, Cases(np.array(EVALUATION.take(600))))}
-    write_text(file, json.dumps(found))
-    return found
+    judgement = judged(model, Cases(np.array(EVALUATION.take(600))))
+    write_text(file, json.dumps({"curve": curve, "seconds": seconds, **judgement}))
 
 
 def interquartile(returns: Floats) -> str:
@@ -113,21 +113,21 @@ def main() -> None:
     """Train what is missing, write the JSON, and print the table."""
     folder = Path("results/baselines")
     given = command_line(__doc__, algorithms=ALGORITHMS, steps=1_000_000, seeds=5, jobs=1, folder=folder)
-    wanted = [(name, seed) for seed in range(given.seeds) for name in given.algorithms]
-    files = [given.folder / f"{name}_{given.steps}_{seed}.json" for name, seed in wanted]
-    answers = Parallel(given.jobs)(
-        delayed(trained)(name, seed, given.steps, file) for (name, seed), file in zip(wanted, files, strict=True)
-    )
+    if min(given.steps, given.seeds, given.jobs) < 1:
+        sys.exit("--steps, --seeds and --jobs: must be at least 1")
+    jobs = []
+    for seed, name in product(range(given.seeds), given.algorithms):
+        jobs.append(delayed(train)(name, seed, given.steps, given.folder / f"{name}_{given.steps}_{seed}.json"))
+    Parallel(given.jobs)(jobs)
     test = Cases(np.array(EVALUATION.take(600)))
     beside: dict[str, Controller] = {"zero": Zero()}
-    for name in BESIDE:
-        beside[name] = load_controller(name, TaskConfig(), name)
+    beside |= {name: load_controller(name, TaskConfig(), name) for name in BESIDE}
     found: dict[str, dict[str, Any]] = {name: {"-": judged(one, test)} for name, one in beside.items()}
-    for (name, seed), answer in zip(wanted, answers, strict=True):
-        found.setdefault(name, {})[str(seed)] = answer
-    task = TaskConfig().model_dump(mode="json")
-    record = {"version": __version__, "task": task, "steps": given.steps, "found": found}
-    write_text(given.folder / "baselines.json", json.dumps(record))
+    for file in sorted(given.folder.glob(f"*_{given.steps}_*.json")):  # of earlier calls as well
+        name, _, seed = file.stem.split("_")
+        found.setdefault(name, {})[seed] = read_json(file)
+    facts = {"version": __version__, "task": TaskConfig().model_dump(mode="json"), "steps": given.steps}
+    write_text(given.folder / f"baselines_{given.steps}.json", json.dumps(facts | {"found": found}))
     header = ("", "seeds", "return ± sd over episodes", "interquartile mean (95 %)", "error ÷ flow linearisation's")
     print(markdown((*header, "failures"), list(summary(found))))
 

@@ -6,6 +6,7 @@ from copy import copy
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from pydantic import ConfigDict, Field
 
@@ -195,11 +196,19 @@ class PolicyController:
         Raises:
             ConfigurationError: the model has another kind of network or other inputs, or no environment.
         """
-        policy = model.policy
-        features = features or _features_of(model)
+        policy: Any = getattr(model, "policy", None)
         activation = getattr(getattr(policy, "activation_fn", None), "__name__", "none").lower()
         if not hasattr(policy, "action_net") or activation not in ("tanh", "relu"):
             raise ConfigurationError(f"from_sb3: {type(policy).__name__}: must be an MlpPolicy of tanh or relu layers")
+        unknown = {
+            "a features extractor of its own": type(policy.features_extractor).__name__ != "FlattenExtractor",
+            "squash_output": policy.squash_output,
+            "several recurrent layers": getattr(getattr(policy, "lstm_actor", None), "num_layers", 1) > 1,
+        }
+        for what, present in unknown.items():
+            if present:
+                raise ConfigurationError(f"from_sb3: the model has {what}: must have none")
+        features = features or _features_of(model)
         layers = []
         for module in (*policy.mlp_extractor.policy_net, policy.action_net):
             if hasattr(module, "weight"):  # the others are activations
@@ -299,8 +308,16 @@ def _features_of(model: Any) -> PolicyFeatures:
     """
     env, scaling = model.get_env(), None
     while hasattr(env, "venv"):  # wrappers
-        scaling = env if getattr(env, "norm_obs", False) else scaling
+        if getattr(env, "norm_obs", False):
+            if scaling is not None:
+                raise ConfigurationError("from_sb3: VecNormalize scales observations twice: one must be absent")
+            scaling = env
         env = env.venv
+    for wrapper in (gym.ObservationWrapper, gym.ActionWrapper):
+        if env is not None and any(env.env_is_wrapped(wrapper)):
+            raise ConfigurationError(
+                f"from_sb3: a gymnasium.{wrapper.__name__} changes the environment: must be absent"
+            )
     try:
         config = env.get_attr("config")[0]
     except AttributeError:

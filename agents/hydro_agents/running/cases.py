@@ -214,6 +214,9 @@ def check_predict(controller: Any) -> None:
     if not callable(getattr(controller, "predict", None)):
         what = type(controller).__name__
         raise ControllerError(f"{what} has no method predict(observation, state, episode_start, deterministic)")
+    scaling = getattr(controller, "get_vec_normalize_env", lambda: None)()  # of stable-baselines3
+    if scaling is not None and scaling.norm_obs:
+        raise ControllerError("VecNormalize scales its observations, predict does not: PolicyController.from_sb3 does")
 
 
 def _act(
@@ -221,11 +224,14 @@ def _act(
 ) -> tuple[Array, Any]:
     """Commands (N, 1) of the controller, checked; an axis that has failed gets 0."""
     when = f"in a batch of {len(cases)} from {cases.describe(0)}, at {time:.3f} s"
+    fault = "failed"
     try:
-        commands, memory = controller.predict(observation, memory, started, True)
+        answer = controller.predict(observation, memory, started, True)
+        fault = "returned no pair of commands and state"
+        commands, memory = answer
         action = np.asarray(commands, dtype=float)
     except (Exception, SystemExit) as error:  # sys.exit() in a controller must not end the command as if all were well
-        raise ControllerError(f"{when}: predict returned no pair of commands and state: {reason(error)}") from error
+        raise ControllerError(f"{when}: predict {fault}: {reason(error)}") from error
     if action.shape != (len(cases), 1):
         raise ControllerError(f"{when}: predict returned commands of shape {action.shape}, must be ({len(cases)}, 1)")
     bad = np.flatnonzero(alive & ~np.isfinite(action[:, 0]))

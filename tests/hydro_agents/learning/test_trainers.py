@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 import torch
+from gymnasium.wrappers import RescaleAction
 from refusal import refused
+from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, TD3
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
 from hydro_agents.controllers import PID, PIDGains
@@ -124,3 +127,29 @@ def test_models_that_do_not_fit_are_refused():
         PolicyController.from_sb3(PPO("MlpPolicy", stacked, n_steps=8, batch_size=8, device="cpu"))
     with refused("TD3Policy: must be an MlpPolicy of tanh or relu"):
         PolicyController.from_sb3(TD3("MlpPolicy", plain, device="cpu", buffer_size=10))
+    small = {"n_steps": 8, "batch_size": 8, "device": "cpu"}
+    squashed = PPO("MlpPolicy", plain, use_sde=True, policy_kwargs={"squash_output": True}, **small)
+    own = PPO("MlpPolicy", plain, policy_kwargs={"features_extractor_class": _Own}, **small)
+    twice = PPO("MlpPolicy", VecNormalize(VecNormalize(plain)), **small)
+    deep = RecurrentPPO("MlpLstmPolicy", plain, policy_kwargs={"n_lstm_layers": 2}, **small)
+    wrapped = make_vec_env("ServoHydraulic-v0", 1, wrapper_class=RescaleAction, wrapper_kwargs=SCALED)
+    rescaled = PPO("MlpPolicy", wrapped, **small)
+    for model, part in (
+        (squashed, "squash_output"),
+        (own, "features extractor"),
+        (twice, "twice"),
+        (deep, "several recurrent layers"),
+        (rescaled, "ActionWrapper changes the environment"),
+        ("mine", "must be an MlpPolicy"),
+    ):
+        with refused(part):
+            PolicyController.from_sb3(model)
+    with refused("PolicyController.from_sb3 does"):
+        run_cases(CONFIG, PPO("MlpPolicy", VecNormalize(plain), **small), Cases(np.array([0])))
+
+
+SCALED = {"min_action": -10.0, "max_action": 10.0}
+
+
+class _Own(FlattenExtractor):
+    """Stands for a network of the user's."""
