@@ -91,13 +91,14 @@ def on_drawn_rigs(
         digest = what if of_rig else fingerprint(controller)
         for number in range(drawn.law.count):
             jobs[f"{name}|{number}"] = Job(on_rig, controller, (what, drawn, number, plants), digest)
-    answers = run_jobs(jobs, folder, progress)
-    rows = []
-    for key in jobs:
-        name, answer = key.partition("|")[0], answers[key]
-        if answer.error:
-            raise ConfigurationError(f"{name}: {answer.error}")
-        rows.append(pd.DataFrame({"agent": name, **answer.metrics}))
+    first = {key: job for key, job in jobs.items() if key.endswith("|0")}  # an agent that fails, fails at once
+    for part, told in ((first, None), (jobs, progress)):
+        answers, rows = run_jobs(part, folder, told), []
+        for key in part:
+            name, answer = key.partition("|")[0], answers[key]
+            if answer.error:
+                raise ConfigurationError(f"{name}: {answer.error}")
+            rows.append(pd.DataFrame({"agent": name, **answer.metrics}))
     return pd.concat(rows, ignore_index=True)
 
 

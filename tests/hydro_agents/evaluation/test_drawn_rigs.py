@@ -59,3 +59,17 @@ def test_errors_are_ratios_to_untuned_flow_linearisation_and_jobs_are_kept(tmp_p
     assert mine[2].startswith(f"{np.median(ratio):.3f}")
     again = on_drawn_rigs(DRAWN, agents, 1, tmp_path)
     assert again.equals(rows)
+
+
+class Broken(Proportional):
+    """An agent with a fault of its own."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        raise RuntimeError("my own fault")
+
+
+def test_an_agent_that_fails_fails_on_the_first_rig(tmp_path):
+    seen = []
+    with refused("mine: .*predict failed: .*my own fault"):
+        on_drawn_rigs(DRAWN, {"mine": f"{__name__}:Broken"}, 1, tmp_path, lambda *told: seen.append(told))
+    assert not seen
