@@ -40,7 +40,7 @@ BUDGET = {
     "hydro_env": 62_100,
     "hydro_agents": 104_700,
     "hydro_rig": 108_200,
-    "tests": 177_300,
+    "tests": 177_600,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_agents.detection.detector import Windows
+from hydro_agents.detection.detector import HALF_WIDTH, Windows
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
@@ -125,3 +125,16 @@ def test_a_recording_that_contradicts_the_data_sheet_is_read(clean, name):
 def test_nothing_is_said_of_a_recording_that_agrees_with_the_data_sheet(clean):
     _, found = EstimatorDetector(threads=1).read_and_fit(Windows.of(clean), TASK)
     assert contradictions(found, TASK) == []
+
+
+def test_a_slow_error_of_several_signals_may_move_the_leak_as_far_as_its_norm(clean):
+    """By the data sheet, errors of norm n move the leak by at most n standard deviations (Cauchy and Schwarz)."""
+    steps = np.arange(clean.shape[2])
+    wrong = np.zeros(clean.shape)
+    wrong[:, :3] = np.stack([1e-4 * np.sin(steps / 30.0), 1.5e5 * np.sin(steps / 25.0), 9e4 * np.cos(steps / 40.0)])
+    known, found = (
+        EstimatorDetector(threads=1).read_and_fit(Windows.of(signals), TASK)[1] for signals in (clean, clean + wrong)
+    )
+    norm = np.sqrt(len(steps) * (found.slow**2).sum(axis=1))
+    assert (found.slow[0] > 1.0).sum() == 2
+    assert (found.deviation(LEAKAGE) > 0.9 * norm * known.deviation(LEAKAGE) / HALF_WIDTH).all()
