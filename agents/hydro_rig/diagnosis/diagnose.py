@@ -57,6 +57,11 @@ class Diagnosis:
     limits: Limits
     verdict: Verdict
 
+    @property
+    def temperature(self) -> float:
+        """Mean temperature of the oil in the windows, or of the recording without windows, °C; NaN: not recorded."""
+        return temperature_of(self.windows if len(self.windows) else self.recording)
+
 
 def diagnosed(
     recording: Recording,
@@ -221,7 +226,7 @@ def change_of(before: Diagnosis, after: Diagnosis, oil: Oil) -> Change:
     for when, one in (("before", before), ("after", after)):
         if one.verdict.leak is None:
             return Change(None, f"cannot tell what has changed: {when}: {one.verdict.why}")
-        sizes.append(referred(one.verdict.leak, oil, temperature_of(one.recording)))
+        sizes.append(referred(one.verdict.leak, oil, one.temperature))
     old, new = sizes
     fall = float(old.value - new.value)
     low = fall - float(np.hypot(old.value - old.low, new.high - new.value))

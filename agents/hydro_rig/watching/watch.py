@@ -14,7 +14,7 @@ from joblib import Parallel, delayed
 from hydro_agents.detection.detector import Windows
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.diagnosis.diagnose import diagnosed, read_windows
-from hydro_rig.diagnosis.oil import Oil, temperature_of
+from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.diagnosis.verdict import NO_LEAK
 from hydro_rig.estimation.solver import tell, told_to
 from hydro_rig.recordings.findings import Weight, lines_of
@@ -69,7 +69,7 @@ def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_
     return {
         "verdict": verdict.kind.value,
         "reason": "; ".join(dict.fromkeys(filter(None, [verdict.why, *lines_of(told)]))),
-        "temperature": temperature_of(found.windows if len(found.windows) else recording),
+        "temperature": found.temperature,
         "size_40": leak.value,
         "low_40": leak.low,
         "high_40": leak.high,

@@ -15,9 +15,7 @@ OIL = Oil.of("46")
 def diagnosed(value, temperature=40.0, error=0.05):
     """What a diagnosis says; NaN: it gives no leak."""
     leak = None if np.isnan(value) else Leak(value, (1.0 - error) * value, (1.0 + error) * value)
-    warm = {} if np.isnan(temperature) else {"oil_temperature": np.full(9, temperature)}
-    recording = SimpleNamespace(auxiliary=warm)
-    return SimpleNamespace(verdict=Verdict(Kind.LEAK, "position moves the wrong way", leak), recording=recording)
+    return SimpleNamespace(verdict=Verdict(Kind.LEAK, "position moves the wrong way", leak), temperature=temperature)
 
 
 @pytest.mark.parametrize(("before", "after", "sign"), [(0.3, 0.01, 1), (0.01, 0.3, -1), (0.3, 0.29, 0)])
