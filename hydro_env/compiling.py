@@ -11,7 +11,7 @@ import sys
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache, cached_property
+from functools import cache, cached_property, reduce
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -25,13 +25,20 @@ and without fused multiply–add the last digits differ: ``contract`` allows the
 """
 
 
+def _with_sources(digest: Any, folder: Path) -> Any:
+    """A digest, with all source files of a folder behind what it holds."""
+    longer = digest.copy()
+    for file in sorted(folder.rglob("*.py")):
+        longer.update(file.read_bytes())
+    return longer
+
+
+_OWN_SOURCES = _with_sources(hashlib.sha256(), Path(__file__).parent)  # read once
+
+
 def digest_of_sources(*folders: Path) -> int:
     """A digest of all source files of this package, and of folders."""
-    digest = hashlib.sha256()
-    for folder in (Path(__file__).parent, *folders):
-        for file in sorted(folder.rglob("*.py")):
-            digest.update(file.read_bytes())
-    return int.from_bytes(digest.digest()[:7], "big")
+    return int.from_bytes(reduce(_with_sources, folders, _OWN_SOURCES).digest()[:7], "big")
 
 
 SOURCES = digest_of_sources()

@@ -5,6 +5,7 @@
 
 import math
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -156,6 +157,7 @@ def _piston_mass(figures: Figures) -> float:
     return float(STEEL * (1.2 * figures["stroke"] * rod + 0.5 * figures["bore"] * bore))
 
 
+@cache
 def lap_and_knee(curve: str, lap: float | None = None) -> tuple[float, float, float, float]:
     """Overlap, position and opening of the knee, and what they leave, that fit the flow curve of a catalogue best.
 
@@ -177,12 +179,8 @@ def lap_and_knee(curve: str, lap: float | None = None) -> tuple[float, float, fl
     if any(len(point) != 2 or not all(isinstance(part, float) for part in point) for point in points):
         raise ValueError("must be points SIGNAL:FLOW in %")
     signal, flow = np.array(points).T
-    if (
-        len(points) < 3
-        or (np.diff(signal) <= 0.0).any()
-        or (np.diff(flow) < 0.0).any()
-        or min(signal[0], flow[0]) < 0.0
-    ):
+    rises = (np.diff(signal) > 0.0).all() and (np.diff(flow) >= 0.0).all() and min(signal[0], flow[0]) >= 0.0
+    if len(points) < 3 or not rises:
         raise ValueError("must be three points or more that rise from 0 % on")
     if signal[-1] != 1.0 or flow[-1] != 1.0:
         raise ValueError("must end at 100%:100%")

@@ -199,12 +199,12 @@ def check_rig(
     """
     from hydro_agents.rigs.check_table import check_to_console
 
-    if output is None:
-        check_to_console(rig, period, latency)
-        return
-    from hydro_agents.rigs.check_page import check_page
-    from hydro_agents.running.machine import Origin
+    if output is not None:
+        check_new_file(output, overwrite)
+    found = check_to_console(rig, period, latency)
+    if output is not None:
+        from hydro_agents.rigs.check_page import check_page
+        from hydro_agents.running.machine import Origin
 
-    check_new_file(output, overwrite)
-    check_to_console(rig, period, latency, lambda *found: check_page(*found).write(output, Origin.now(command_line())))
-    say(f"page: {output.resolve()}")
+        check_page(*found).write(output, Origin.now(command_line()))
+        say(f"page: {output.resolve()}")

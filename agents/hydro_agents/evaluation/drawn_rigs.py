@@ -92,14 +92,15 @@ def on_drawn_rigs(
         for number in range(drawn.law.count):
             jobs[f"{name}|{number}"] = Job(on_rig, controller, (what, drawn, number, plants), digest)
     first = {key: job for key, job in jobs.items() if key.endswith("|0")}  # an agent that fails, fails at once
-    for part, told in ((first, None), (jobs, progress)):
-        answers, rows = run_jobs(part, folder, told), []
-        for key in part:
-            name, answer = key.partition("|")[0], answers[key]
+    others = {key: job for key, job in jobs.items() if key not in first}
+    rows = {}
+    for part, told in ((first, None), (others, progress)):
+        for key, answer in run_jobs(part, folder, told).items():
+            name = key.partition("|")[0]
             if answer.error:
                 raise ConfigurationError(f"{name}: {answer.error}")
-            rows.append(pd.DataFrame({"agent": name, **answer.metrics}))
-    return pd.concat(rows, ignore_index=True)
+            rows[key] = pd.DataFrame({"agent": name, **answer.metrics})
+    return pd.concat([rows[key] for key in jobs], ignore_index=True)
 
 
 def in_words(ratio: pd.Series) -> list[str]:

@@ -1,7 +1,7 @@
 """``hydro check-rig``: the figures of a rig on the console."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -117,19 +117,13 @@ def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> dict[str,
     return unset
 
 
-def check_to_console(
-    rig: Path | None,
-    period: str | None = None,
-    latency: str | None = None,
-    write: Callable[..., None] = lambda *_: None,
-) -> None:
-    """Print the table of a rig.
+def check_to_console(rig: Path | None, period: str | None = None, latency: str | None = None) -> tuple[Any, ...]:
+    """Print the table of a rig; returns what its page shows: name, facts, warnings, figures and task.
 
     Args:
         rig: its file; ``None`` is the paper's.
         period: control period with its unit; default: that of the task.
         latency: of the command, the same.
-        write: takes name, facts, warnings, figures and task, to write a page.
 
     Raises:
         ConfigurationError: the rig is wrong or cannot work, or the timing is impossible.
@@ -159,7 +153,7 @@ def check_to_console(
     cells = [(row.quantity, row.at, row.text(4), row.unit) for row in rows]
     table = Table("", HEADINGS, cells, breaks=breaks)
     console.print(console_table(table, left=(0, 1, 3)))  # narrow enough for a terminal of 80 columns
-    write(name, [("rig", summary), *said], warnings, rows, task)
+    return name, [("rig", summary), *said], warnings, rows, task
 
 
 def _short_sensors(task: TaskConfig) -> list[str]:

@@ -204,11 +204,12 @@ def make_fmus(config: TaskConfig) -> tuple[bytes, bytes]:
         raise HydroError(f"the FMU has no binary for {sys.platform} on {platform.machine()}; it needs 64-bit x86")
     variables, kind = fmu_variables(config), state_kind(config.plant.structure)
     code = plant_code(config.plant)
+    named = sorted({variable.unit for variable in variables} - {""})
     values = {
         "version": __version__,
         "model": MODEL,
         "variables": variables,
-        "units": {unit: base_unit(unit) for unit in sorted({variable.unit for variable in variables} - {""})},
+        "units": render("units.xml.j2", {"units": {unit: base_unit(unit) for unit in named}}),
         "infinite": math.inf,
         "axis": kind.__name__,
         "states": kind._fields,
