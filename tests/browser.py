@@ -47,8 +47,7 @@ def open_page(browser, path, width=1000, height=900, scheme="light", **options):
     page.on("pageerror", lambda error: page.problems.append(f"error: {error}"))
     page.on("requestfailed", lambda request: page.problems.append(f"request: {request.url}"))
     page.on(
-        "console",
-        lambda message: page.problems.append(message.text) if message.type in ("error", "warning") else None,
+        "console", lambda message: page.problems.append(message.text) if message.type in ("error", "warning") else None
     )
     page.goto(path.resolve().as_uri())
     yield page

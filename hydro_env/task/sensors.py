@@ -36,12 +36,7 @@ def _current_loop(span: float) -> float:
     return span / (65536 * 8.0 / 20.0)
 
 
-CHANNEL_UNITS = {
-    "position": "m",
-    "pressure_a": "Pa",
-    "pressure_b": "Pa",
-    "spool_position": "1",
-}
+CHANNEL_UNITS = {"position": "m", "pressure_a": "Pa", "pressure_b": "Pa", "spool_position": "1"}
 """SI unit of each measured signal."""
 
 

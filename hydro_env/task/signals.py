@@ -206,10 +206,7 @@ def lagged(sensed, old, new, settings):
 def sample(row, s, settings):
     """Read all sensors at this instant into the record; ``s`` is the state."""
     signals = Signals(
-        position=s.position,
-        pressure_a=row.sensed_a,
-        pressure_b=row.sensed_b,
-        spool_position=s.spool_position,
+        position=s.position, pressure_a=row.sensed_a, pressure_b=row.sensed_b, spool_position=s.spool_position
     )
     for first in range(0, len(CHANNELS), 2):
         noise = noise_pair(row.noise_key, np.int64(row.step), first // 2) if settings.sensors.enabled else (0.0, 0.0)

@@ -192,10 +192,7 @@ def test_a_study_that_was_stopped_is_resumed(tmp_path):
     done("study", "--config", study, "--output", folder, "--resume")
     assert (folder / "report.html").is_file()
     assert len(list(csv.DictReader((folder / "tables" / "cases.csv").open()))) == 2 * 2 * 2 * 3
-    weights = (
-        *("--config", folder / "study.yaml"),
-        *("--agent", f"PPO={folder / 'controllers' / 'PPO' / 'policy'}"),
-    )
+    weights = (*("--config", folder / "study.yaml"), *("--agent", f"PPO={folder / 'controllers' / 'PPO' / 'policy'}"))
     into_study = hydro("evaluate", *weights, "--output", folder, "--overwrite")
     assert_one_clear_line(into_study, "was not written by hydro evaluate")
     listed = json.loads((folder / ".hydro.json").read_text())["files"]["study"]

@@ -140,10 +140,7 @@ def test_a_study_needs_no_rig_package(tmp_path):
     shutil.copytree(ROOT / "agents/hydro_agents", tmp_path / "hydro_agents")
     (tmp_path / "sitecustomize.py").write_text(WITHOUT_RIG)
     (tmp_path / "study.yaml").write_text(SMALL_STUDY)
-    lines = (
-        "study --config study.yaml --jobs 2 --output study",
-        "--help",
-    )
+    lines = ("study --config study.yaml --jobs 2 --output study", "--help")
     answer = subprocess.run(
         [sys.executable, "-c", EACH_LINE, *lines],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},

@@ -5,11 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hydro_agents.controllers.sampled_loop import (
-    CONTROL_PERIOD,
-    SampledLoop,
-    sampled_loop,
-)
+from hydro_agents.controllers.sampled_loop import CONTROL_PERIOD, SampledLoop, sampled_loop
 from hydro_env import PlantParameters
 from paper.loop import bandwidth, final_value, response
 from paper.rig import simplified, with_leak

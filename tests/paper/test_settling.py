@@ -8,11 +8,7 @@ import pytest
 from hydro_env import PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
 from paper.rig import SAMPLE_TIME
-from paper.settling import (
-    drift,
-    last_above,
-    swing_envelope,
-)
+from paper.settling import drift, last_above, swing_envelope
 
 
 def test_a_drift_does_not_fool_the_detector():

@@ -130,11 +130,7 @@ def tables_of(protocol: Protocol[Any]) -> dict[str, TableFunction]:
 
 
 def run(
-    protocol: Protocol[Any],
-    chosen: Any,
-    folder: Path | None = None,
-    progress: Report | None = None,
-    facts: Facts = (),
+    protocol: Protocol[Any], chosen: Any, folder: Path | None = None, progress: Report | None = None, facts: Facts = ()
 ) -> Results:
     """Run all jobs of a protocol where the active ``parallel_config`` says; finished ones in the folder are read.
 

@@ -51,10 +51,7 @@ def test_run_length_of_the_cusum_is_that_of_siegmund(mean, drift):
 
 @pytest.mark.parametrize(
     ("score", "sigma", "total"),
-    [
-        ([1.0, np.nan, 2.0, np.nan, -4.0], np.nan, [0.5, 0.5, 2.0, 2.0, 0.0]),
-        ([2.0, 2.0], [0.5, 2.0], [1.5, 1.875]),
-    ],
+    [([1.0, np.nan, 2.0, np.nan, -4.0], np.nan, [0.5, 0.5, 2.0, 2.0, 0.0]), ([2.0, 2.0], [0.5, 2.0], [1.5, 1.875])],
     ids=["no score adds nothing", "the detector's own uncertainty weighs a look"],
 )
 def test_totals_by_hand(score, sigma, total):

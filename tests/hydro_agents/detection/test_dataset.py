@@ -5,14 +5,7 @@ import pytest
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection import dataset
-from hydro_agents.detection.dataset import (
-    LABEL_OF_FAULT,
-    Chunk,
-    LabelledWindows,
-    TrainingPlan,
-    draw_faults,
-    simulated,
-)
+from hydro_agents.detection.dataset import LABEL_OF_FAULT, Chunk, LabelledWindows, TrainingPlan, draw_faults, simulated
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.detection.training_settings import HeadTrainingSettings

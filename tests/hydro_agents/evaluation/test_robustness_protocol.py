@@ -24,10 +24,7 @@ def plants_of(protocol, name):
 
 def test_factors_and_parameters_fix_every_plant_and_leave_the_other_draws_alone():
     protocol = small(
-        conditions={
-            "plain": {},
-            "heavy": {"factors": {"load.mass": 2.0}, "parameters": {"valve.underlap": 0.04}},
-        }
+        conditions={"plain": {}, "heavy": {"factors": {"load.mass": 2.0}, "parameters": {"valve.underlap": 0.04}}}
     )
     plain, heavy = plants_of(protocol, "plain"), plants_of(protocol, "heavy")
     assert {plant.load.mass for plant in heavy} == {2.0 * PlantParameters().load.mass}

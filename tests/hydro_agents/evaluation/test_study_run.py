@@ -25,10 +25,7 @@ CONTROLLERS = {
 VALUES = {
     "task": {"episode_duration": 0.4},
     "controllers": CONTROLLERS,
-    "evaluation": {
-        **{"plants": 3, "standstill_plants": 1},
-        **{"leak_levels": [0.01, 4.0], "families": ["step"]},
-    },
+    "evaluation": {**{"plants": 3, "standstill_plants": 1}, **{"leak_levels": [0.01, 4.0], "families": ["step"]}},
 }
 
 

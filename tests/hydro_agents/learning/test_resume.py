@@ -46,11 +46,7 @@ def interrupt_at(steps):
     return report
 
 
-ALL = {
-    "full_preview": True,
-    "family_units": True,
-    "reversal_price": 1.0,
-}
+ALL = {"full_preview": True, "family_units": True, "reversal_price": 1.0}
 
 
 @pytest.mark.parametrize("changes", [{"residual": False}, ALL], ids=["alone", "all"])

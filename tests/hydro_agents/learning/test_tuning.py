@@ -10,14 +10,7 @@ from hydro_agents.commands.study import train
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning import tuning
-from hydro_agents.learning.trials import (
-    JUDGED,
-    REFUSED,
-    costs_of,
-    resting_cases,
-    summed_up,
-    tuning_cases,
-)
+from hydro_agents.learning.trials import JUDGED, REFUSED, costs_of, resting_cases, summed_up, tuning_cases
 from hydro_agents.learning.tuning import Search, tune
 from hydro_agents.running.cases import run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER

@@ -10,14 +10,7 @@ from parsed_page import ODD_NAME, Parsed
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
-from hydro_agents.report.controllers_page import (
-    Example,
-    controllers_page,
-    errors,
-    heat_map,
-    overview,
-    verdict,
-)
+from hydro_agents.report.controllers_page import Example, controllers_page, errors, heat_map, overview, verdict
 from hydro_agents.report.kit import Page, drawn
 from hydro_env import TaskConfig
 

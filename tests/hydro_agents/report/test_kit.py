@@ -7,18 +7,7 @@ import pandas as pd
 import pytest
 from parsed_page import ODD_NAME, Parsed
 
-from hydro_agents.report.kit import (
-    BLUE,
-    GREEN,
-    Page,
-    draw,
-    drawn,
-    leak_axis,
-    panel,
-    panels,
-    signal,
-    with_interval,
-)
+from hydro_agents.report.kit import BLUE, GREEN, Page, draw, drawn, leak_axis, panel, panels, signal, with_interval
 from hydro_agents.running.machine import Origin
 
 TABLE = pd.DataFrame(

@@ -203,9 +203,7 @@ def loops_of(plant, task):
     return loops
 
 
-OWN = {
-    "63/45 x 500": ("63 mm", "45 mm", "500 mm", "40 l/min", "160 bar", "200 kg"),
-}
+OWN = {"63/45 x 500": ("63 mm", "45 mm", "500 mm", "40 l/min", "160 bar", "200 kg")}
 KEYS = ("bore", "rod", "stroke", "rated_flow", "supply_pressure", "mass")
 
 

@@ -5,14 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hydro_agents.running.statistics import (
-    Weights,
-    interval,
-    means,
-    plant_weights,
-    seed_weights,
-    share_interval,
-)
+from hydro_agents.running.statistics import Weights, interval, means, plant_weights, seed_weights, share_interval
 
 
 def mean_interval(values):

@@ -7,12 +7,7 @@ import pytest
 
 from hydro_env import PlantParameters, equilibrium, simulate
 from hydro_env.errors import HydroError, InvalidStateError
-from hydro_env.plant.analysis import (
-    closed_port_natural_frequency,
-    closed_port_stiffness,
-    reachable_range,
-    speed_limits,
-)
+from hydro_env.plant.analysis import closed_port_natural_frequency, closed_port_stiffness, reachable_range, speed_limits
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.states import STATE_NAMES
 

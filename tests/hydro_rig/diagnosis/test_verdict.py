@@ -65,12 +65,7 @@ CASES = {
     "stuck sensor, tight seal": ([STUCK], HEALTHY, Kind.OTHER, "something else: sensor fault: pressure_a"),
     "stuck sensor, no reading": ([STUCK], NOTHING, Kind.UNKNOWN, "one window; pressure_a is stuck at one value"),
     "stuck sensor, model misfits": ([STUCK], misfit(), Kind.UNKNOWN, "check --rig; pressure_a is stuck"),
-    "stuck sensor, leak undetermined": (
-        [STUCK],
-        UNDETERMINED,
-        Kind.OTHER,
-        "something else: sensor fault: pressure_a",
-    ),
+    "stuck sensor, leak undetermined": ([STUCK], UNDETERMINED, Kind.OTHER, "something else: sensor fault: pressure_a"),
     "stuck sensor and leak": ([STUCK], LEAK, Kind.LEAK, "besides, sensor fault: pressure_a is stuck"),
     "worn valve": ([], reading(0.01, 0.01, fault="worn edges"), Kind.OTHER, "something else: worn edges;"),
     "worn valve and leak": ([], reading(1.0, 1.0, fault="worn edges"), Kind.LEAK, "besides, worn edges"),

@@ -39,10 +39,7 @@ def test_windows_hold_the_truth_and_the_faults(windows):
     """The simulator, told the truth, leaves nothing but noise."""
     faults = {"valve_null_shift": 0.01, "external_leak": 0.5, "pressure_b_offset": 0.01}
     faulty = known_windows(CONFIG, PID, leak_cases(VALIDATION_SEEDS, 3, LEAK, faults), 0.2, 0.5)
-    for seen, truth in (
-        (windows, {LEAKAGE: LEAK}),
-        (faulty, {"valve.null_shift": 0.01}),
-    ):
+    for seen, truth in ((windows, {LEAKAGE: LEAK}), (faulty, {"valve.null_shift": 0.01})):
         priors = priors_of(CONFIG, tuple(dict.fromkeys((*default_unknowns(CONFIG), *truth))))
         model, scaled = true_model(CONFIG, seen, priors)
         measured = usable_readings(seen.signals, CONFIG, model)

@@ -157,10 +157,7 @@ CASES = {
         restamped(lambda t: t + np.random.default_rng(0).uniform(-3e-4, 3e-4, len(t))),
         [(NOTE, "time has stamps that jitter")],
     ),
-    "great jitter": (
-        lambda r: late(r),
-        [(NOTE, "ms; taken as equidistant rows")],
-    ),
+    "great jitter": (lambda r: late(r), [(NOTE, "ms; taken as equidistant rows")]),
     "a gap in stamps that jitter": (
         lambda r: rows(lambda n: np.r_[0:500, 520:n])(late(r)),
         [(NOTE, "ms; taken as equidistant rows"), (NOTE, "time has a gap of 100 ms")],
