@@ -99,6 +99,8 @@ def restore(model: Any, env: AxisVecEnv | RigsVecEnv, checkpoint: Checkpoint) ->
     """Restore the state that :func:`take` copied into a new ``model`` and ``env`` of the same settings."""
     tensors = checkpoint.tensors
     env.reset()
+    if isinstance(env, RigsVecEnv):
+        env.renew(int(tensors["axes.first"]))
     env.set_state(restored(env.get_state(), tensors, "axes"))
     model.policy.load_state_dict(restored(model.policy.state_dict(), tensors, "policy"))
     if hasattr(model, "_last_lstm_states"):

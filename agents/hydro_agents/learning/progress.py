@@ -23,6 +23,7 @@ from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.imitation import ACTOR
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.vec_env import RigsVecEnv
 from hydro_agents.running.cases import family_errors, validation_errors
 from hydro_env import TaskConfig, task_config
 from hydro_env.files import write_text
@@ -100,6 +101,16 @@ def training_logger(folder: str | Path | None, steps: int = 0) -> Logger:
     return Logger(None if folder is None else str(folder), writers)
 
 
+def renew_rigs(model: Any, settings: PPOSettings, share: float) -> None:
+    """Give a model the rigs of a share of its training; the discount per control period is that of each axis."""
+    env: RigsVecEnv = model.get_env()
+    for part, inputs in env.renew(settings.first_rig_at(share)):
+        model._last_obs[part], model._last_episode_starts[part] = inputs, True
+    periods = env.periods_per_step()
+    model.rollout_buffer.gamma = settings.discount ** (1.0 / periods)
+    model.rollout_buffer.gae_lambda = settings.advantage_decay ** (1.0 / periods)
+
+
 class TrainingCallback(BaseCallback):
     """Logs, validates and keeps checkpoints between rollouts; sets the exploration of PPO.
 
@@ -154,6 +165,8 @@ class TrainingCallback(BaseCallback):
                 weights.requires_grad_(share >= self._settings.critic_first)
         if self._logged >= 0:
             self._log()
+        if self._settings.law:
+            renew_rigs(self.model, self._settings, share)
         self._checkpoints.keep(self.model, self.model.get_env(), self.seconds)
         self._logged = self.num_timesteps
 

@@ -30,12 +30,16 @@ class PPOSettings(Group):
     normalise: bool = Field(False, description="divide inputs by their typical sizes on training plants")
     family_units: Literal[False, True, "sensor"] = Field(
         False,
-        description="reward relative to the corrected controller's mean error in the family of the reference: true: of "
-        "the true position; sensor: of the position with its sensor's bias",
+        description="reward relative to the mean error in the family of the reference, of the corrected controller, or "
+        "of the policy with which a training without residual starts: true: of the true position; sensor: of the "
+        "position with its sensor's bias",
     )
     reversal_price: float = Field(0.0, ge=0.0, le=1e6, description="on the smaller swing at a reversal, per 10 V")
     practice: dict[str, Any] = Field({}, description="fields of the task with other values in training")
     law: RigLaw | None = Field(None, description="rigs of the training, for any axis; none: the task's own")
+    rigs_together: int | None = Field(
+        None, ge=1, description="of the law that train at the same time; each gives way to the next one; null: all"
+    )
     start: str | None = Field(None, description="path of weights of the same inputs and layers to begin with")
     teacher: str | None = Field(None, description="shipped controller that a policy without residual imitates first")
     imitated_share: float = Field(0.5, gt=0.0, le=1.0, description="part of the training in which it imitates")
@@ -76,8 +80,11 @@ class PPOSettings(Group):
         if self.law is not None:
             if not self.normalise or not (self.residual or self.teacher):
                 raise ValueError("law: needs normalise: true, and residual: true or a teacher")
-            if self.axes % self.law.count:
-                raise ValueError(f"axes = {self.axes}: must be a multiple of law.count = {self.law.count}")
+            if self.together > self.law.count:
+                raise ValueError(f"rigs_together = {self.together}: must not exceed law.count = {self.law.count}")
+            if self.axes % self.together:
+                what = "law.count" if self.rigs_together is None else "rigs_together"
+                raise ValueError(f"axes = {self.axes}: must be a multiple of {what} = {self.together}")
         return self
 
     @whole_group
@@ -91,6 +98,15 @@ class PPOSettings(Group):
                 "into parts of at least 2"
             )
         return self
+
+    @property
+    def together(self) -> int:
+        """Number of rigs that train at the same time."""
+        return self.rigs_together or (self.law.count if self.law else 1)
+
+    def first_rig_at(self, share: float) -> int:
+        """Number of the oldest rig when a share (0 to 1) of the training is done."""
+        return int(share * (self.law.count - self.together)) if self.law else 0
 
     def learning_rate_at(self, remaining: float) -> float:
         """Learning rate when the share ``remaining`` of the training (1 to 0) is left."""

@@ -69,8 +69,12 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
         )
     teacher = shipped(settings.teacher, config) if settings.teacher else None
     leader = teacher or features.base
-    if settings.family_units and leader is not None:
-        errors = family_errors(practised, leader, sensor_frame=settings.family_units == "sensor")
+    measured = leader
+    if settings.start and features.base is None:
+        measured = PolicyController.load(settings.start)
+        measured.features = features
+    if settings.family_units and measured is not None:
+        errors = family_errors(practised, measured, sensor_frame=settings.family_units == "sensor")
         practised = in_family_units(practised, errors)
     return AxisVecEnv(
         practised,
@@ -94,12 +98,16 @@ def make_axes(
     """
     if settings.law is None or not isinstance(features, AnyAxisFeatures):
         return make_env(config, settings, features, seed)
-    envs, axes = [], settings.axes // settings.law.count
-    for number, task in enumerate(rig_tasks(task_config(config, law=settings.law.model_dump()))):
+    axes = settings.axes // settings.together
+    tasks = rig_tasks(task_config(config, law=settings.law.model_dump()))
+
+    def of_rig(number: int) -> AxisVecEnv:
+        task = tasks[number]
         price = settings.reversal_price / periods_per_step(task)
         own = settings.model_copy(update={"axes": axes, "reversal_price": price})
-        envs.append(make_env(task, own, features.moved_to(task), seed + number * axes))
-    return RigsVecEnv(envs, features)
+        return make_env(task, own, features.moved_to(task), seed + number % settings.together * axes)
+
+    return RigsVecEnv(of_rig, settings.together, features)
 
 
 def discount(config: TaskConfig, settings: PPOSettings) -> float:
@@ -128,6 +136,8 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -
         "net_arch": {"pi": hidden, "vf": hidden},
         "log_std_init": settings.initial_log_standard_deviation,
     }
+    if settings.start:
+        network["optimizer_kwargs"] = {"eps": 1e-8}  # the gradients of a policy that is good are smaller than 1e-5
     algorithm: Any = PPO
     policy = "MlpPolicy"
     if settings.lstm_cells:
@@ -150,10 +160,6 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -
     )
     if settings.teacher:
         model.imitated_steps = settings.imitated_share * settings.total_steps
-    if isinstance(env, RigsVecEnv):
-        periods = env.periods_per_step()
-        model.rollout_buffer.gamma = settings.discount ** (1.0 / periods)
-        model.rollout_buffer.gae_lambda = settings.advantage_decay ** (1.0 / periods)
     with torch.no_grad():
         model.policy.log_std.requires_grad_(False)  # the exploration follows a schedule
         model.policy.action_net.weight.mul_(0.1 if settings.residual else 1.0)

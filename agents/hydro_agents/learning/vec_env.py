@@ -1,6 +1,6 @@
 """The native vector environment as a ``VecEnv`` of stable-baselines3: axes of one rig, or of many rigs in one batch."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -233,16 +233,31 @@ def _smaller_swing(before: Array, change: Array) -> Array:
 class RigsVecEnv(_SharedVecEnv):
     """The axes of several :class:`AxisVecEnv`, one per rig, in one batch; their inputs mean the same on every rig.
 
-    ``features`` are those of the task that the weights' file names.
+    Args:
+        make: makes the axes of rig 0, 1, …, as many on each.
+        count: number of rigs at the same time.
+        features: those of the task that the weights' file names.
     """
 
-    def __init__(self, envs: Sequence[AxisVecEnv], features: AnyAxisFeatures) -> None:
-        self.envs, self.features = list(envs), features
+    def __init__(self, make: Callable[[int], AxisVecEnv], count: int, features: AnyAxisFeatures) -> None:
+        self.envs, self.features = [make(number) for number in range(count)], features
+        self._make, self.first = make, 0  # number of the oldest rig
         self.lessons: list[Singles] | None = None  # as those of one rig
         self.render_mode = None
-        ends = np.cumsum([env.num_envs for env in envs])
-        self._parts = [slice(end - env.num_envs, end) for env, end in zip(envs, ends, strict=True)]
-        super().__init__(int(ends[-1]), envs[0].observation_space, spaces.Box(-1.0, 1.0, (1,), np.float32))
+        axes = self.envs[0].num_envs
+        self._parts = [slice(place * axes, (place + 1) * axes) for place in range(count)]
+        super().__init__(count * axes, self.envs[0].observation_space, spaces.Box(-1.0, 1.0, (1,), np.float32))
+
+    def renew(self, first: int) -> list[tuple[slice, VecEnvObs]]:
+        """Replace the rigs before number ``first`` by the next ones; returns the places and inputs of the new axes."""
+        renewed = []
+        while self.first < first:
+            place = self.first % len(self.envs)
+            self.envs[place].close()
+            self.envs[place] = self._make(self.first + len(self.envs))
+            renewed.append((self._parts[place], self.envs[place].reset()))
+            self.first += 1
+        return renewed
 
     def periods_per_step(self) -> Floats:
         """Control periods in a step of the rig, of each axis, (N,)."""
@@ -269,12 +284,15 @@ class RigsVecEnv(_SharedVecEnv):
 
     def get_state(self) -> dict[str, Any]:
         """Complete state, for :meth:`set_state`."""
-        return {f"rig{number}": env.get_state() for number, env in enumerate(self.envs)}
+        return {
+            "first": np.array(self.first),
+            **{f"rig{place}": env.get_state() for place, env in enumerate(self.envs)},
+        }
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Restore a state of :meth:`get_state`."""
-        for env, part in zip(self.envs, state.values(), strict=True):
-            env.set_state(part)
+        """Restore a state of :meth:`get_state` while the rigs are the same."""
+        for place, env in enumerate(self.envs):
+            env.set_state(state[f"rig{place}"])
 
     def close(self) -> None:
         """Stop the worker threads."""

@@ -14,11 +14,13 @@ from hydro_agents.learning.any_axis import PREVIEW_PACES, USUAL_ERROR, AnyAxisFe
 from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_SCALE
 from hydro_agents.learning.loading import load_controller
 from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.progress import renew_rigs
 from hydro_agents.learning.rig_gains import chosen_gains, costs_on_rig, gain_sets
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
 from hydro_agents.learning.tuning import Tuned
 from hydro_agents.learning.vec_env import RigsVecEnv
+from hydro_agents.running.cases import family_errors
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import validate
@@ -224,6 +226,7 @@ def test_each_rig_has_its_axes_rewards_and_discount():
     weights = [part.env.config.reward.tracking for part in env.envs]
     np.testing.assert_allclose(weights, TASK.reward.tracking / periods[::4])
     model = make_model(env, SETTINGS, 0)
+    renew_rigs(model, SETTINGS, 0.0)
     np.testing.assert_allclose(model.rollout_buffer.gamma**periods, SETTINGS.discount)
     inputs = env.reset()
     assert inputs.shape == (12, features.size)
@@ -236,6 +239,51 @@ def test_each_rig_has_its_axes_rewards_and_discount():
     env.set_state(state)
     env.step_async(np.ones((12, 1)))
     np.testing.assert_array_equal(env.step_wait()[0], after)
+    env.close()
+
+
+ALONE = {"residual": False, "teacher": "flow_linearising", "imitated_share": 0.5, "family_units": "sensor"}
+
+
+def test_rigs_give_way_to_the_next_and_a_resumed_training_goes_on_with_them(policy, tmp_path, monkeypatch):
+    more = ALONE | {"law": LAW | {"count": 7}, "rigs_together": 3}
+    settings = validate(PPOSettings, SETTINGS.model_dump(mode="json") | more, "test")
+    seen, renew = [], RigsVecEnv.renew
+
+    def watched(env, first):
+        renewed = renew(env, first)
+        seen.append((first, [part.env.config.plant for part in env.envs]))
+        return renewed
+
+    monkeypatch.setattr(RigsVecEnv, "renew", watched)
+    whole = train_policy(TASK, settings, seed=1, folder=tmp_path / "whole")
+    assert [first for first, _ in seen] == [0, 2, 4]
+    rigs = [task.plant for task in rig_tasks(task_config(TASK, law=more["law"]))]
+    assert seen[1][1] == [rigs[3], rigs[4], rigs[2]]
+    assert seen[2][1] == [rigs[6], rigs[4], rigs[5]]
+
+    def interrupt(progress):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_policy(TASK, settings, seed=1, folder=tmp_path / "parts", progress=interrupt)
+    resumed = train_policy(TASK, settings, seed=1, folder=tmp_path / "parts", resume=True)
+    np.testing.assert_equal([bias for _, bias in resumed.layers], [bias for _, bias in whole.layers])
+    with refused("rigs_together = 8: must not exceed law.count = 7"):
+        validate(PPOSettings, settings.model_dump() | {"rigs_together": 8}, "test")
+
+
+def test_the_units_of_rewards_are_the_errors_of_the_policy_that_a_training_starts_with(tmp_path):
+    settings = validate(PPOSettings, SETTINGS.model_dump(mode="json") | ALONE, "test")
+    train_policy(TASK, settings, seed=1).save(tmp_path / "policy")
+    settings = settings.model_copy(update={"start": str(tmp_path / "policy"), "axes": 3})
+    env = make_axes(TASK, settings, make_features(TASK, settings, None), 0)
+    student = PolicyController.load(tmp_path / "policy")
+    for part, task in zip(env.envs, rig_tasks(task_config(TASK, law=LAW)), strict=True):
+        student.features = part.features
+        errors = family_errors(task, student, sensor_frame=True)
+        scales = {name: error / task.reward.error_scale for name, error in errors.items()}
+        assert part.env.config.reward.family_scale == pytest.approx(scales)
     env.close()
 
 
