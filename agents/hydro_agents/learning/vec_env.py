@@ -104,7 +104,7 @@ class AxisVecEnv(_SharedVecEnv):
         if paired and self._leader is None:
             raise ConfigurationError("paired rewards need the residual form or a teacher: a controller to compare with")
         self.features, self.reward_scale, self._price = features, reward_scale, reversal_price
-        self._paired, self._stagger = paired, stagger
+        self._paired, self.stagger = paired, stagger
         self._total = 2 * count if paired else count
         self.env = ServoHydraulicVectorEnv(self._total, config, autoreset_mode="Disabled", info=False, **overrides)
         self.render_mode = None
@@ -132,7 +132,7 @@ class AxisVecEnv(_SharedVecEnv):
         observation, _ = self.env.reset(seed=seeds, options=options)
         self._reset_seeds()
         self._reset_options()
-        if self._stagger:
+        if self.stagger:
             state = self.env.get_state()
             shares = np.arange(self._total) % self.num_envs
             state.arrays["record"]["step"] = shares * self.env.axes.steps() // self.num_envs
@@ -255,6 +255,7 @@ class RigsVecEnv(_SharedVecEnv):
             place = self.first % len(self.envs)
             self.envs[place].close()
             self.envs[place] = self._make(self.first + len(self.envs))
+            self.envs[place].stagger = False  # a jump of the references again and again would drown what is learned
             renewed.append((self._parts[place], self.envs[place].reset()))
             self.first += 1
         return renewed
