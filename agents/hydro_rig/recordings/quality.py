@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-from hydro_env import ConfigurationError, TaskConfig, simulate
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parts.chambers import chamber_volumes
 from hydro_env.plant.parts.valve import edge_flows
-from hydro_env.plant.simulate import LONGEST_PERIOD
 from hydro_env.plant.states import State
 from hydro_env.task.paces import periods_late
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
@@ -48,7 +47,6 @@ On the three shipped rigs it is 0 to 0.6, and 0.6 to 1.0 with exchanged chambers
 
 SLOPES = (0.15, 6.0)  # valid range of the slopes of the flow balance and of spool against command, with wear and noise
 ROUNDING = 1e-4  # of full scale, by which a command at its limit may exceed it without a word
-LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
 
 CHANGES = EXCHANGED, TURNED_POSITION, TURNED_VALVE = (
     "the pressures of the chambers exchanged (of a load pressure, the other sign)",
@@ -98,12 +96,6 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool = F
     findings += of_channels
     samples = samples._replace(signals=np.where(bad, np.nan, samples.signals))
     if all(finding.weight is Weight.NOTE for finding in findings):
-        early = row_of_command(samples, config)
-        if early:
-            samples = _with_command_moved(samples, early)
-            word = "early" if early > 0 else "late"
-            what = f"is one row too {word} for the spool: moved; 'rows_early: {early}' in the map says the same"
-            findings.append(Finding("command", what))
         findings += check_wiring(samples, config)
     return Checked(samples, findings)
 
@@ -121,36 +113,6 @@ def _within_full_scale(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     if most >= 1.0 + ROUNDING:
         findings.append(finding_of(beyond, samples.time, "command", what))
     return samples._replace(signals=signals), findings
-
-
-def row_of_command(samples: Sampled, config: TaskConfig) -> int:
-    """By how many rows the command stands too early for the spool: −1, 0 or 1; 0 where the signals do not tell."""
-    signals = _stretch_with_motion(samples)
-    expected = _response_at_next_sample(config)
-    if signals is None or expected <= LEAST_RESPONSE or not _commanded(signals, config):
-        return 0
-    weights, slope, rest = _spool_after_commands(signals, config)
-    if rest > 0.5 or not _plausible(slope):
-        return 0
-    later, now = weights[:2] / slope
-    if later > 0.5 * expected:
-        return -1
-    return int(now < 0.25 * expected)
-
-
-def _with_command_moved(samples: Sampled, early: int) -> Sampled:
-    """The samples with the command moved by a row, without those at the ends whose command is then unknown."""
-    signals, other = samples.signals.copy(), np.arange(len(samples.place)) - early
-    inside = np.clip(other, 0, len(other) - 1)
-    known = (other == inside) & (samples.place[inside] == samples.place - early)
-    signals[COMMAND] = np.where(known, samples.signals[COMMAND, inside], np.nan)
-    kept = slice(*(np.flatnonzero(known)[[0, -1]] + [0, 1]).tolist())
-    return samples._replace(
-        place=samples.place[kept] - samples.place[kept.start],
-        time=samples.time[kept],
-        signals=signals[:, kept],
-        auxiliary={name: values[kept] for name, values in samples.auxiliary.items()},
-    )
 
 
 class TwoBalances(NamedTuple):
@@ -292,9 +254,9 @@ def _plausible(slope: float) -> bool:
 
 def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
     """Check sign and scale of the command against the spool."""
-    if not _commanded(signals, config):
-        return []
-    _, slope, rest = _spool_after_commands(signals, config)
+    if not np.ptp(signals[COMMAND]) >= 0.02 or signals[COMMAND].std() < 2.0 * config.sensors.spool_position.noise:
+        return []  # the command changes too little for the spool to follow it
+    slope, rest = _spool_after_commands(signals, config)
     if rest > 0.5:
         return [Finding("spool_position", "does not follow the command")]
     if slope < 0.0:
@@ -305,17 +267,10 @@ def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
     return []
 
 
-def _commanded(signals: Floats, config: TaskConfig) -> bool:
-    """Whether the command changes enough for the spool to follow it."""
-    command = signals[COMMAND]
-    return bool(np.ptp(command) >= 0.02 and command.std() >= 2.0 * config.sensors.spool_position.noise)
+def _spool_after_commands(signals: Floats, config: TaskConfig) -> tuple[float, float]:
+    """Slope of the spool's readings against the commands, and the unexplained share of their standard deviation.
 
-
-def _spool_after_commands(signals: Floats, config: TaskConfig) -> tuple[Floats, float, float]:
-    """Weights of the command one row later, in this row, one and two rows before and of 1 in the spool's readings.
-
-    Rows count from that of the command that acts by the data sheet. Then the slope of spool against command, and the
-    unexplained share of the standard deviation.
+    The command of the row that acts by the data sheet counts, that of the row after it, and those of two before.
     """
     late = periods_late(config.command_latency, config.control_period)
     spool, command = signals[SPOOL][late:], signals[COMMAND][: signals.shape[1] - late]
@@ -323,18 +278,7 @@ def _spool_after_commands(signals: Floats, config: TaskConfig) -> tuple[Floats, 
     wanted = spool[2:-1]
     weights, *_ = np.linalg.lstsq(rows, wanted, rcond=None)
     rest = (wanted - rows @ weights).std() / max(wanted.std(), 1e-300)
-    return weights, float(weights[:4].sum()), float(rest)
-
-
-def _response_at_next_sample(config: TaskConfig) -> float:
-    """Share of a new command that the nominal spool follows by the next sample."""
-    period = min(config.control_period - config.command_latency, LONGEST_PERIOD)
-    if period <= 0.0:
-        return 0.0
-    small = 0.1
-    spool = simulate(config.plant, [small], period).spool_position
-    goal = small / FULL_VOLTAGE - spool[0]
-    return float((spool[-1] - spool[0]) / goal) if abs(goal) > 1e-9 else 0.0
+    return float(weights[:4].sum()), float(rest)
 
 
 def _means(values: Floats, step: int) -> Floats:

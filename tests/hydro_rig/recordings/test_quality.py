@@ -47,15 +47,6 @@ def late(recording):
     return changed(recording, time=np.sort(recording.time + random.uniform(-4e-3, 4e-3, len(recording.time))))
 
 
-def command_moved(by):
-    def change(recording):
-        signals = recording.signals.copy()
-        signals[4] = np.roll(signals[4], by)
-        return changed(recording, signals=signals)
-
-    return change
-
-
 def blank(every):
     """Pressures in each so many row alone, as a slower program logs them."""
 
@@ -168,8 +159,6 @@ CASES = {
     ),
     "every second row": (rows(lambda n: slice(0, n, 2)), [(SEVERE, "the commands between the rows are unknown")]),
     "ms as s": (restamped(lambda t: 1e3 * t), [(SEVERE, "stamps in ms instead of s would fit")]),
-    "command early": (command_moved(-1), [(NOTE, "moved; 'rows_early: 1' in the map")]),
-    "command late": (command_moved(1), [(NOTE, "moved; 'rows_early: -1' in the map")]),
 }
 
 
@@ -203,15 +192,6 @@ def test_the_sign_of_a_load_pressure_is_checked(recording, sign):
     one = changed(recording, signals=signals)._replace(differential=True)
     severe = check_recording(one, task_config(CONFIG, sensors=load)).severe
     assert [("the other sign)" in finding.line()) for finding in severe] == [True] * (sign < 0)
-
-
-@pytest.mark.parametrize("rows", [-1, 1])
-def test_a_command_in_the_wrong_row_is_moved_back(recording, rows):
-    moved = check_recording(command_moved(rows)(recording), CONFIG).samples
-    right = check_recording(recording, CONFIG).samples
-    assert np.array_equal(moved.place, right.place[:-1])
-    assert np.array_equal(moved.signals[4, 2:-2], right.signals[4, np.isin(right.time, moved.time)][2:-2])
-    assert np.isfinite(moved.signals).all()
 
 
 def test_faulty_readings_are_left_out(recording):
