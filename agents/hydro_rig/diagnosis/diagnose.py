@@ -17,11 +17,10 @@ from hydro_agents.detection.detector import Cause, Reading, Why, Windows
 from hydro_agents.running.text import number
 from hydro_env import HydroError, TaskConfig
 from hydro_env.errors import reason
-from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
 from hydro_rig.diagnosis.oil import Oil, referred, temperature_of
-from hydro_rig.diagnosis.verdict import EXIT_CODES, Case, Leak, Limits, Verdict, by_volume, judge
-from hydro_rig.diagnosis.volume_balance import volume_leak
+from hydro_rig.diagnosis.verdict import EXIT_CODES, Case, Leak, Limits, Verdict, judge
+from hydro_rig.diagnosis.volume_balance import by_volume, volume_leak
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.estimation.solver import tell
@@ -81,14 +80,6 @@ def diagnosed(
     samples, filled = bridged(checked.samples)
     checked = Checked(samples, [*checked.findings, *filled])
     findings = checked.findings
-    balance = volume_leak(recording)
-    if balance is not None:
-        balance = balance.on(plant_coefficients(config.plant).area_a)
-        if oil is not None:
-            at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, temperature_of(recording))
-            balance = balance._replace(**at_40._asdict())
-        what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
-        findings.append(Finding("flow", what))
     windows = choose(samples)
     result, residual = Read(), ""
     refused = bool(checked.severe)
@@ -114,7 +105,12 @@ def diagnosed(
     verdict = judge(Case(findings, reading, limits, window, residual, blind))
     # A balance has no commands: it may decide where the rows do not fit the control period, if nothing else is severe
     # on a grid of their own.
+    balance = volume_leak(recording, config)
     if balance is not None and not (check_recording(recording, config, own_grid=True) if refused else checked).severe:
+        if oil is not None:
+            balance = balance._replace(leak=referred(balance.leak, oil, temperature_of(recording)))
+        what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
+        findings.append(Finding("flow", what))
         verdict = by_volume(verdict, balance, limits)
     return Diagnosis(recording, config, checked, windows, reading, limits, verdict)
 

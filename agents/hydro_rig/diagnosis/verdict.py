@@ -15,7 +15,6 @@ from hydro_agents.running.text import decimals_for, number
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import LeakageDraw
 from hydro_env.types import Mask
-from hydro_rig.diagnosis.volume_balance import VolumeLeak
 from hydro_rig.recordings.findings import Finding, Weight
 
 MOST = 0.5  # share of the windows that counts as "most"
@@ -245,24 +244,6 @@ def judge(case: Case) -> Verdict:
         if verdict is not None:
             return verdict
     return tight(case)
-
-
-def by_volume(verdict: Verdict, balance: VolumeLeak, limits: Limits) -> Verdict:
-    """The verdict with a measured flow: where the estimator cannot tell, the balance of volumes decides alone.
-
-    No severe finding speaks against the signals of the balance, and it belongs to the piston of the rig.
-    """
-    if verdict.kind is not Kind.UNKNOWN:
-        return verdict
-    if balance.why:
-        return verdict._replace(why=f"{verdict.why}; flow {balance.why}")
-    leak = Leak(balance.value, balance.low, balance.high)
-    why = f"by a balance of volumes over {balance.moves} steady moves, which needs no valve"
-    if leak.low > limits.healthy:
-        return Verdict(Kind.LEAK, why, leak)
-    if leak.high < limits.fault:
-        return Verdict(Kind.HEALTHY, why, leak)
-    return Verdict(Kind.UNKNOWN, f"the leak past the piston is {leak.text()} {why}; it may be healthy or faulty", leak)
 
 
 def named_fault(reading: Reading) -> str:

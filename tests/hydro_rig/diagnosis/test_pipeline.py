@@ -13,8 +13,7 @@ from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis import diagnose as diagnosing
 from hydro_rig.diagnosis.diagnose import Read, diagnose, diagnosed
 from hydro_rig.diagnosis.oil import Oil
-from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind, Limits, Verdict, by_volume
-from hydro_rig.diagnosis.volume_balance import VolumeLeak
+from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.sampling import cut
 
@@ -89,22 +88,6 @@ def test_a_measured_flow_decides_alike_everywhere(recordings, tmp_path, command,
     found, reason = answer_of(command, recordings[case], tmp_path)
     assert WORDS[case] in reason
     assert found == (EXIT_CODES[Kind.LEAK] if case == "right" else UNKNOWN)
-
-
-BALANCE = VolumeLeak(0.01, 0.005, 0.015, AREA, 8, 0.01, "")
-
-
-@pytest.mark.parametrize(("factor", "known"), [(1.0, True), (0.92, True), (1.08, True), (0.88, False), (1.12, False)])
-def test_a_balance_belongs_to_a_piston(factor, known):
-    found = BALANCE.on(factor * AREA)
-    verdict = by_volume(Verdict(Kind.UNKNOWN, "no motion", None), found, Limits(0.03, 0.1))
-    assert (verdict.kind is Kind.HEALTHY) == (not found.why) == known
-    assert known or verdict.why.startswith("no motion; flow fits a piston of 12.6 cm²")
-
-
-def test_another_verdict_stays():
-    other = Verdict(Kind.OTHER, "worn edges", None)
-    assert by_volume(other, BALANCE, Limits(0.03, 0.1)) is other
 
 
 # A rig that the model does not describe ------------------------------------------------------------------------------
