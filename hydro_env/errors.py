@@ -1,5 +1,8 @@
 """The errors that this package raises; each message is one line with place, value and what is allowed."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class HydroError(ValueError):
     """Base of all errors of this project; the command line prints its message and exits with code 2."""
@@ -19,6 +22,15 @@ class NotBegunError(ConfigurationError, AttributeError):
 
 class InvalidStateError(HydroError, ArithmeticError):
     """A simulated state left the range in which the model is valid."""
+
+
+@contextmanager
+def at(place: str) -> Iterator[None]:
+    """A :class:`ConfigurationError` of the block begins with the place of its cause."""
+    try:
+        yield
+    except ConfigurationError as error:
+        raise type(error)(f"{place}: {error}") from error
 
 
 def reason(error: BaseException) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from hydro_env.arguments import numbers, shown
-from hydro_env.errors import ConfigurationError, UnknownKeyError
+from hydro_env.errors import ConfigurationError, UnknownKeyError, at
 from hydro_env.mistakes import did_you_mean, one_of, unknown
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters, from_vector, to_vector
 from hydro_env.task.configuration import LEAKAGE_LIMIT, TaskConfig
@@ -184,10 +184,8 @@ class ResetOptions:
                 if draw["otherwise_probability"] > 0.0:
                     values.append(draw["otherwise"])
                 vector[index] = min(values) if PARAMETER_PATHS[index] in MUST_EXCEED_ANOTHER else max(values)
-            try:
+            with at(where):
                 drawn = from_vector(vector).structure
-            except ConfigurationError as error:
-                raise ConfigurationError(f"{where}: {error}") from None
             if (drawn.lines, drawn.tip) != (own.lines, own.tip):
                 raise ConfigurationError(
                     f"{where}: lines.length_a, load.tip_share: no episode adds or removes lines with waves or a second "

@@ -12,6 +12,7 @@ from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.head import AT_REST, BESIDE_STUCK_SENSOR, LeakageHead
 from hydro_agents.running.folders import pretrained_folder, shipped_weights
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.errors import at
 
 HEAD_FILE = "leakage_head"
 
@@ -109,10 +110,8 @@ def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
     """
     path = path or shipped_weights(HEAD_FILE, config)
     head = HeadDetector(LeakageHead.load(path)).on(config)
-    try:
+    with at(str(path)):
         check_layout(head.settings.layout, config)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{path}: {error}") from None
     if head.settings.window > config.steps:
         reads = f"reads at least {head.settings.window} observations, an episode has {config.steps}"
         raise ConfigurationError(f"{path}: {reads}")

@@ -21,18 +21,10 @@ from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.jobs import Job
 from hydro_agents.running.tasks import Surroundings, mappings, read_task
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.errors import at
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.mistakes import kept, refuse, unknown
-
-
-@contextmanager
-def at(place: str) -> Iterator[None]:
-    """An error of the block begins with the place of its cause."""
-    try:
-        yield
-    except ConfigurationError as error:
-        raise type(error)(f"{place}: {error}") from error
 
 
 @contextmanager

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import controller_with_gains
-from hydro_agents.evaluation.conditions import at
 from hydro_agents.learning.loading import load_controller
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError
+from hydro_env.errors import at
 
 if TYPE_CHECKING:
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol

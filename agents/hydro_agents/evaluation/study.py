@@ -17,7 +17,6 @@ from pydantic import Field, SerializeAsAny, StringConstraints, ValidationInfo, f
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
-from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.loading import SHIPPED_WEIGHTS, load_controller, shipped, ships, usual_gains
@@ -26,6 +25,7 @@ from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import mappings, read_task, timed_task
 from hydro_agents.running.text import NAME_RULE
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, task_config
+from hydro_env.errors import at
 from hydro_env.files import Group, read_yaml, validate, whole_group
 from hydro_env.folders import config_file
 from hydro_env.mistakes import did_you_mean, kept, refuse, unknown

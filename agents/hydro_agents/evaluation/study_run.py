@@ -14,7 +14,6 @@ import numpy as np
 
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, gains_text
-from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.participants import participants
 from hydro_agents.evaluation.runner import Facts, Results, run
 from hydro_agents.evaluation.study import StudySettings
@@ -28,6 +27,7 @@ from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest, rest_text
 from hydro_agents.running.seeds import SEED_MARK, STANDSTILLS, TRIAL_RUN
 from hydro_env import ConfigurationError
+from hydro_env.errors import at
 from hydro_env.files import read_yaml, write_text, write_yaml
 
 CONFIG_FILE = "study.yaml"

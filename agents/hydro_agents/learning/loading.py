@@ -16,6 +16,7 @@ from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import shipped_weights
 from hydro_agents.running.weights import weight_files
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env.errors import at
 from hydro_env.files import Group, read_yaml
 from hydro_env.folders import config_folder
 from hydro_env.mistakes import unknown
@@ -120,14 +121,12 @@ def load_controller(
             ...
         hydro_env.errors.ConfigurationError: mine: 'pidd': unknown; did you mean pid? ...
     """
-    try:
+    with at(name):
         controller = _named(found_in(what), config, trainer) if isinstance(what, str | Path) else what
         check_predict(controller)
         layout = getattr(getattr(controller, "features", controller), "layout", None)
         if isinstance(layout, ObservationLayout):
             check_layout(layout, config)
-    except ConfigurationError as error:
-        raise type(error)(f"{name}: {error}") from error
     return controller
 
 

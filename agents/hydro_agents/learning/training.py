@@ -27,6 +27,7 @@ from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig, task_config
+from hydro_env.errors import at
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.paces import periods_per_step
 
@@ -58,20 +59,19 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
         ConfigurationError: ``practice`` has no valid fields of a task, or changes the observations or the control
             period.
     """
-    try:
+    with at("practice"):
         practised = task_config(config, **settings.practice)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"practice: {error}") from None
     if ObservationLayout.of(practised) != ObservationLayout.of(config):
         raise ConfigurationError(
             f"practice = {settings.practice}: must leave the control period and the names and scales of "
             "observations as they are in the task, because the policy must work there"
         )
-    teacher = shipped(settings.teacher, config) if settings.teacher else None
+    with at("teacher"):
+        teacher = shipped(settings.teacher, config) if settings.teacher else None
     leader = teacher or features.base
     measured = leader
     if settings.start and features.base is None:
-        measured = PolicyController.load(settings.start)
+        measured = _start(settings.start)
         measured.features = features
     if settings.family_units and measured is not None:
         errors = family_errors(practised, measured, sensor_frame=settings.family_units == "sensor")
@@ -164,8 +164,13 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -
         model.policy.log_std.requires_grad_(False)  # the exploration follows a schedule
         model.policy.action_net.weight.mul_(0.1 if settings.residual else 1.0)
     if settings.start:
-        PolicyController.load(settings.start).into(model)
+        _start(settings.start).into(model)
     return model
+
+
+def _start(path: str) -> PolicyController:
+    with at("start"):
+        return PolicyController.load(path)
 
 
 def train_policy(

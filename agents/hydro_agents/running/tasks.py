@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field
 
 from hydro_env import ConfigurationError, TaskConfig, task_config
+from hydro_env.errors import at
 from hydro_env.files import Group, validate, whole_group
 from hydro_env.mistakes import did_you_mean, unknown
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
@@ -106,10 +107,8 @@ class Surroundings(Group):
         Raises:
             ConfigurationError: the changed task is impossible.
         """
-        try:
+        with at(where):
             task = task_config(base, rig=self.rig, **self.task)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{where}: {error}") from None
         sensors = {
             channel: {
                 "noise": self.noise_factor * getattr(task.sensors, channel).noise,
