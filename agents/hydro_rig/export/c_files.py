@@ -25,7 +25,7 @@ def render(template: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -
     """Text of a template of a folder; its filter ``c`` writes a number exactly, in C."""
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False)
     environment.filters["c"] = lambda value: c_number(float(value))
-    environment.filters["xml"] = lambda value: repr(min(float(value), 1e300))  # few tools can read an infinite number
+    environment.filters["finite"] = lambda value: repr(min(float(value), 1e300))  # few tools read an infinite one
     return environment.from_string((folder / template).read_text(encoding="utf-8")).render(values)
 
 

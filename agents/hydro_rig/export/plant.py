@@ -14,7 +14,7 @@ import sys
 import uuid
 import zipfile
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hydro_env import HydroError, TaskConfig, __version__, equilibrium
 from hydro_env.plant import equations, kernel
@@ -104,7 +104,7 @@ class Variable(NamedTuple):
     start: float | None = None
     low: float = -math.inf
     high: float = math.inf
-    whole: bool = False  # a code
+    items: tuple[str, ...] = ()  # of an enumeration, from 0 on
 
     @property
     def symbol(self) -> str:
@@ -115,7 +115,7 @@ class Variable(NamedTuple):
 def fmu_variables(config: TaskConfig) -> list[Variable]:
     """Inputs, parameters and outputs, in the order of their value references."""
     _, voltage = equilibrium(config.plant, 0.0)
-    stroke = config.plant.cylinder.stroke
+    end = 0.5 * config.plant.cylinder.stroke
     law = LEAK_LAWS[config.leakage.law]
     largest_leak = max(law.flow(limit) for limit in PARAMETER_LIMITS[f"leakage.{law.parameter}"] if limit > 0.0)
     leak = leak_at_test_pressure(with_one_leak(config))
@@ -135,9 +135,7 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
     ]
     lag = float(settings_of(config)["pressure_lag"][0]) * config.control_period
     parameters = [
-        Variable(
-            "initial_position", "of the axis at rest at the start", "m", "parameter", 0.0, -0.5 * stroke, 0.5 * stroke
-        ),
+        Variable("initial_position", "of the axis at rest at the start", "m", "parameter", 0.0, -end, end),
         Variable("pressure_lag", "time constant of the pressure transducers", "s", "parameter", lag, 0.0, 1.0),
         *_rig_parameters(config),
     ]
@@ -160,11 +158,9 @@ def _rig_parameters(config: TaskConfig) -> Iterator[Variable]:
         if path == f"leakage.{LEAK_LAWS[config.leakage.law].parameter}":
             continue
         group, field = path.replace("_", " ").split(".")
-        meaning, codes = f"{field} of the {group}", MODEL_CODES.get(path, ())
-        if codes:
-            meaning += ": " + ", ".join(f"{index} {name}" for index, name in enumerate(codes))
-        limits = PARAMETER_LIMITS[path]
-        yield Variable(f"rig.{path}", meaning, PARAMETER_UNITS[path], "parameter", value, *limits, whole=bool(codes))
+        unit, limits = PARAMETER_UNITS[path], PARAMETER_LIMITS[path]
+        items = MODEL_CODES.get(path, ())
+        yield Variable(f"rig.{path}", f"{field} of the {group}", unit, "parameter", value, *limits, items)
 
 
 def _in_letters(unit: str) -> str:
@@ -194,6 +190,17 @@ def with_one_leak(config: TaskConfig) -> PlantParameters:
     return config.plant.replace(leakage=tight)
 
 
+def _values(config: TaskConfig) -> dict[str, Any]:
+    """What the templates of the FMUs say of a task."""
+    return {
+        "version": __version__,
+        "variables": fmu_variables(config),
+        "infinite": math.inf,
+        "leak": LEAK_LAWS[config.leakage.law],
+        "litre_per_minute": LITRE_PER_MINUTE,
+    }
+
+
 def make_fmus(config: TaskConfig) -> tuple[bytes, bytes]:
     """The FMUs of a task, with its rig, in FMI 2.0 and 3.0, as the bytes of zip files; a task gives the same sources.
 
@@ -202,21 +209,17 @@ def make_fmus(config: TaskConfig) -> tuple[bytes, bytes]:
     """
     if sys.platform not in BINARIES or platform.machine().lower() not in ("x86_64", "amd64"):
         raise HydroError(f"the FMU has no binary for {sys.platform} on {platform.machine()}; it needs 64-bit x86")
-    variables, kind = fmu_variables(config), state_kind(config.plant.structure)
+    kind = state_kind(config.plant.structure)
     code = plant_code(config.plant)
-    named = sorted({variable.unit for variable in variables} - {""})
-    values = {
-        "version": __version__,
+    common = _values(config)
+    named = sorted({variable.unit for variable in common["variables"]})
+    values = common | {
         "model": MODEL,
-        "variables": variables,
         "units": render("units.xml.j2", {"units": {unit: base_unit(unit) for unit in named}}),
-        "infinite": math.inf,
         "axis": kind.__name__,
         "states": kind._fields,
         "derived": Derived._fields,
-        "leak": LEAK_LAWS[config.leakage.law],
-        "flow_to_leak": LITRE_PER_MINUTE / LEAK_LAWS[config.leakage.law].at_test,
-        "flow_to_external_leak": LITRE_PER_MINUTE / ROD_SEAL.at_test,
+        "rod_seal": ROD_SEAL,
         "guid": "",
     }
     digest = hashlib.sha256((code["plant.c"] + render("fmu.c.j2", values)).encode()).hexdigest()

@@ -7,6 +7,7 @@ import pytest
 from command_line import assert_one_clear_line, hydro
 
 from hydro_env import PlantParameters, TaskConfig, equilibrium, simulate
+from hydro_env.plant.parameters import MODEL_CODES
 from hydro_env.plant.parts.leakage import LeakLaw, leak_past_piston
 from hydro_env.task.configuration import task_config
 from hydro_rig.export import plant
@@ -79,6 +80,7 @@ class Instance:
     def __init__(self, file):
         description = fmpy.read_model_description(str(file))
         self.references = {variable.name: variable.valueReference for variable in description.modelVariables}
+        self.codes = {variable.name for variable in description.modelVariables if variable.type == "Enumeration"}
         self.lines = []
         self.fmu = fmpy.instantiate_fmu(fmpy.extract(str(file)), description, "CoSimulation", logger=self.log)
         self.fmu.setupExperiment(startTime=0.0)
@@ -88,10 +90,13 @@ class Instance:
         self.lines.append(message.decode())
 
     def set(self, **values):
-        self.fmu.setReal([self.references[name] for name in values], list(values.values()))
+        for name, value in values.items():
+            write = self.fmu.setInteger if name in self.codes else self.fmu.setReal
+            write([self.references[name]], [value])
 
     def get(self, *names):
-        return self.fmu.getReal([self.references[name] for name in names])
+        read = self.fmu.getInteger if self.codes.issuperset(names) else self.fmu.getReal
+        return read([self.references[name] for name in names])
 
     def refused(self, call, *arguments, **values):
         """The one line that a failing call logs."""
@@ -159,12 +164,24 @@ def test_outputs_in_initialisation_mode_are_those_of_the_equilibrium(file):
     assert axis.get("position")[0] == pytest.approx(PLACE, abs=1e-7)
 
 
+def test_a_model_is_an_item_of_an_enumeration(file, newer):
+    start = {"rig.friction.model": MODEL_CODES["friction.model"].index("none"), "voltage": 3.0}
+    expected = simulate(PlantParameters().replace(friction={"model": "none"}), np.full(20, 3.0), PERIOD).position
+    for one in (file, newer):
+        variables = {each.name: each for each in fmpy.read_model_description(str(one)).modelVariables}
+        for path, items in MODEL_CODES.items():
+            named = variables[f"rig.{path}"].declaredType.items
+            assert [(item.name, int(item.value)) for item in named] == [(name, n) for n, name in enumerate(items)]
+        run = fmpy.simulate_fmu(str(one), stop_time=0.1, output_interval=PERIOD, start_values=start)
+        assert np.abs(run["position"] - expected).max() <= 1e-9 * np.ptp(expected)
+
+
 def test_what_is_out_of_range_or_fixed_is_refused_in_one_line(file):
     axis = Instance(file)
     for name, value in {
         "rig.valve.rated_flow": -1e-4,
-        "rig.friction.model": 7.0,
-        "rig.valve.model": 1.5,
+        "rig.friction.model": 7,
+        "rig.valve.model": -1,
         "rig.load.mass": -1.0,
         "leakage": -3.0,
         "voltage": np.nan,
@@ -174,6 +191,9 @@ def test_what_is_out_of_range_or_fixed_is_refused_in_one_line(file):
         before = axis.get(name)
         assert axis.refused(axis.set, **{name: value}).startswith(name)
         assert axis.get(name) == before
+    model, mass = axis.references["rig.valve.model"], axis.references["rig.load.mass"]
+    assert "an enumeration" in axis.refused(axis.fmu.setReal, [model], [1.0])
+    assert "no enumeration" in axis.refused(axis.fmu.getInteger, [mass])
     axis.set(**{"rig.cylinder.stroke": 0.1, "initial_position": 0.06})
     assert axis.refused(axis.get, "position").startswith("initial_position = 0.06 m")
     axis.set(**{"rig.cylinder.stroke": 0.4, "initial_position": 0.19})
