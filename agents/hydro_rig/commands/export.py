@@ -18,7 +18,7 @@ from hydro_env.folders import page
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
     from hydro_env import TaskConfig
-FMU_FILES = "hydro_axis.fmu", "hydro_axis_fmi3.fmu"
+PLANT_FILES = "hydro_axis.fmu", "hydro_axis_fmi3.fmu", "hydro_axis.mo", "plant.h", "plant.c"
 JOB = "export"
 HEAD = "leakage_head"
 TRAINED_FOR = ("plant", "control_period", "command_latency")  # of the task, what a head for one rig cannot change
@@ -37,10 +37,9 @@ def export(
     what: Annotated[
         str,
         typer.Argument(
-            help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector, or the path of your "
-            "own. Or a controller: "
-            "results/study/controllers/NAME of a study on your rig; as shipped: flow_linearising, ppo or "
-            "pid, for any rig; a file of gains, weights, or module:attribute.",
+            help="plant: the axis as an FMU, in Modelica and in C. leakage_head: the leak detector, or the path of "
+            "your own. Or a controller: results/study/controllers/NAME of a study on your rig; as shipped: "
+            "flow_linearising, ppo or pid, for any rig; a file of gains, weights, or module:attribute.",
             show_default=False,
         ),
     ],
@@ -72,9 +71,10 @@ def export(
     """Write the plant, a controller or the leakage head for other tools, or for your own C program.
 
     `hydro export plant` writes `hydro_axis.fmu` and `hydro_axis_fmi3.fmu` (co-simulation, FMI 2.0 and 3.0, for
-    Simulink, Amesim, OpenModelica and others, with the binary of this platform and its sources; it needs a C compiler)
-    and `plant.c`, `plant.h` (C99, no library but the mathematical one). Its inputs are the voltage of the valve, an
-    external force, the leak and the faults. With `--rig` the parameters are those of your rig.
+    Simulink, Amesim, OpenModelica and others, with the binary of this platform and its sources; it needs a C compiler),
+    `hydro_axis.mo` (the equations in Modelica) and `plant.c`, `plant.h` (C99, no library but the mathematical one). Its
+    inputs are the voltage of the valve, an external force, the leak and, but in Modelica, the faults. With `--rig` the
+    parameters are those of your rig.
 
     `hydro export CONTROLLER` writes a folder that needs nothing of this project to run: the controller from measured
     signals in SI units to the voltage of the valve as `controller.onnx`, as C99 and as Structured Text (IEC 61131-3),
@@ -124,15 +124,17 @@ class _Request(NamedTuple):
 
 def _plant(task: str | None, rig: Path | None) -> Job:
     from hydro_env.task.configuration import task_config
-    from hydro_rig.export.plant import make_fmus, plant_code
+    from hydro_rig.export.plant import make_fmus, modelica_text, plant_code
 
     config = task_config(task, rig=rig)
 
     def make() -> Exported:
-        sources = {name: text.encode() for name, text in plant_code(config.plant).items()}
-        return {**sources, **dict(zip(FMU_FILES, make_fmus(config), strict=True))}, ()
+        code = plant_code(config.plant)
+        texts = modelica_text(config), code["plant.h"], code["plant.c"]
+        contents = *make_fmus(config), *(text.encode() for text in texts)
+        return dict(zip(PLANT_FILES, contents, strict=True)), ()
 
-    return (*FMU_FILES, "plant.h", "plant.c"), make
+    return PLANT_FILES, make
 
 
 def _head(what: str, request: _Request) -> Job:

@@ -1,4 +1,4 @@
-"""The plant and its integrator as C99, without any library but ``math.h``, and as FMUs for co-simulation.
+"""The plant and its integrator as C99, without any library but ``math.h``, as FMUs for co-simulation, and in Modelica.
 
 Inputs of the FMU: voltage of the valve, external force, leakage past the piston, faults. Outputs: states, flows and
     forces, and the readings of ideal sensors. Standard: *Functional Mock-up Interface for Model Exchange and
@@ -33,7 +33,7 @@ from hydro_env.plant.parameters import (
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, leak_past_piston
 from hydro_env.plant.parts.lines import VOLUMES, WAVES
 from hydro_env.plant.simulate import DERIVED_UNITS
-from hydro_env.plant.states import ALL_STATES, State, state_kind
+from hydro_env.plant.states import ALL_STATES, ATMOSPHERIC_PRESSURE, VAPOUR_PRESSURE, State, state_kind
 from hydro_env.task.faults import fault_limits
 from hydro_env.task.settings import settings_of
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
@@ -191,7 +191,7 @@ def with_one_leak(config: TaskConfig) -> PlantParameters:
 
 
 def _values(config: TaskConfig) -> dict[str, Any]:
-    """What the templates of the FMUs say of a task."""
+    """What the templates of the FMUs and of the Modelica text say of a task."""
     return {
         "version": __version__,
         "variables": fmu_variables(config),
@@ -199,6 +199,17 @@ def _values(config: TaskConfig) -> dict[str, Any]:
         "leak": LEAK_LAWS[config.leakage.law],
         "litre_per_minute": LITRE_PER_MINUTE,
     }
+
+
+def modelica_text(config: TaskConfig) -> str:
+    """The plant of a task as a Modelica model that starts at rest at mid-stroke; its names are those of the FMUs."""
+    values = _values(config) | {
+        "plant": config.plant,
+        "rest": equilibrium(config.plant, 0.0)[0],
+        "atmospheric_pressure": ATMOSPHERIC_PRESSURE,
+        "vapour_pressure": VAPOUR_PRESSURE,
+    }
+    return render("hydro_axis.mo.j2", values)
 
 
 def make_fmus(config: TaskConfig) -> tuple[bytes, bytes]:

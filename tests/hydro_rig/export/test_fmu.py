@@ -234,7 +234,7 @@ def test_the_command_writes_it_once(tmp_path):
     result = hydro("export", "plant", "--rig", "symmetric_eha", "--output", folder)
     assert result.returncode == 0, result.stderr
     written = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
-    assert written == {"hydro_axis.fmu", "hydro_axis_fmi3.fmu", "plant.c", "plant.h"}
+    assert written == {"hydro_axis.fmu", "hydro_axis_fmi3.fmu", "hydro_axis.mo", "plant.c", "plant.h"}
     assert_one_clear_line(hydro("export", "plant", "--output", folder), "holds results already")
     unknown = hydro("export", "controler", "--output", tmp_path / "other")
     assert_one_clear_line(unknown, "export 'controler': unknown; known: plant, leakage_head")
