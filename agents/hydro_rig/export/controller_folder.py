@@ -29,9 +29,22 @@ NAME = "Controller"
 MODEL_FILE, TASK_FILE = "controller.onnx", "task.yaml"
 FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them
 LONGEST = 180  # control periods per episode of the vectors
-TOUR = 600  # control periods that suffice for the tour through all states
 FREE = {"output_rate": 1e9, "max_speed": 1e9, "max_acceleration": 1e9}  # the controller itself, without the block
 COMPARED = ("command", "state", "fault_code")
+
+
+TOUR = """
+2 control; 2 on control; 2 on; 2 on control; 2; 2 on; 2; 2 on; 2 on control; 2 on; 2 on control
+10 on manual; 60 on control; 10 on control weak; 10 on control slow; 4 on control negative; 4 on control wrong
+lost on control away; 3 on control; 2 on control reset away; 2 on control reset; 2 on control; 2 on reset
+2 on control reset; 2 on manual; lost on manual away; 1 on away; 2 on manual away; 2 on away; 2 away; 2 on away
+2 on manual away; 2; 2 on; 4 on control; 3 on control exact; 2 on manual; 2 reset; 2 on; 4 on control
+3 on control exact hasty; 2 on reset; 2 on manual; 2 on; 4 on hasty away; 2 on reset
+4 on control; 4 on control hasty away; 2; 2 on; 20 on control free
+"""
+"""Every transition between two states, every fault: samples, and what changes in the inputs of a healthy axis."""
+
+LONGEST_TOUR = 600  # control periods
 
 
 class Vector(NamedTuple):
@@ -79,7 +92,7 @@ def make_vectors(graph: ControllerGraph) -> list[Vector]:
         run = _Episode(graph, config, seed, family)
         _follow(run)
         vectors += run.vectors
-    duration = max(config.episode_duration, TOUR * config.control_period)
+    duration = max(config.episode_duration, LONGEST_TOUR * config.control_period)
     run = _Episode(graph, config.model_copy(update={"episode_duration": duration}), last, families[0])
     _tour(run, [gain.name for gain in graph.gains])
     return [*vectors, *run.vectors]
@@ -130,76 +143,34 @@ def _follow(run: _Episode) -> None:
 
 
 def _tour(run: _Episode, gains: Sequence[str]) -> None:
-    """Drive the axis through :func:`_script`."""
-    steps = _script(run, gains)
-    if run.block.corrects:
-        last = steps[-1][1]
-        steps += [(10, {**last, "correction_limit": limit}) for limit in (0.0, 0.05, math.nan)]
-    for count, changes in steps:
-        for _ in range(count):
-            run.step({**run.signals(), **changes})
-
-
-def _script(run: _Episode, gains: Sequence[str]) -> list[tuple[int, dict[str, Any]]]:
-    """Every transition between two states, every fault, lost signals, values out of range, limits.
-
-    Counts of samples, and inputs that are not those of a healthy axis in a block that is off.
-    """
-    lost = math.ceil(LOST_TIME / run.config.control_period) + 3
-    away = {"valid_position": False, "position": math.nan}
+    """Drive the axis through TOUR, then with lost signals, and values and gains out of range."""
     here = run.signals()["position"]
-    on: dict[str, Any] = {"enable": True, "reference": here + 0.01}
-    closed = {**on, "control": True}
-    by_hand = {**on, "manual": True, "manual_command": 0.3}
-    sensors = [signal.name for signal in run.block.signals.signals if signal.sensor]
-    return [
-        (2, {"control": True}),  # off
-        (2, closed),  # ready: the request stood before
-        *((2, row) for row in (on, closed, {}, on, {}, on, closed, on)),  # in turn off, ready and controlling
-        (10, by_hand),
-        (60, {**closed, "manual_command": math.nan}),  # it takes over from the manual command
-        *((1, {**closed, f"valid_{name}": False, name: math.nan}) for name in sensors),
-        *((1, {**closed, name: factor}) for name in sensors for factor in (1e12, -1e12)),
-        (10, {**closed, "output_limit": 0.2}),
-        (10, {**closed, "output_rate": 2.0, "max_speed": 0.02, "max_acceleration": 0.1, "reference": here}),
-        (4, {**closed, "output_limit": -1.0}),
-        (4, {**closed, "output_limit": math.nan, "output_rate": math.nan, "max_speed": math.nan}),
-        *((2, {**closed, GAINS + name: value}) for name in gains for value in (math.nan, -1e6)),
-        (lost, {**closed, **away}),  # holding
-        (3, closed),
-        (2, {**closed, "reset": True, **away}),  # no reset without a position
-        (2, {**closed, "reset": True}),  # nor one that stood before
-        (2, closed),
-        (2, {**on, "reset": True}),  # ready
-        (2, {**closed, "reset": True}),
-        (2, by_hand),
-        (lost, {**by_hand, **away}),  # manual needs no signal
-        (1, {**on, **away}),  # holding
-        (2, {**by_hand, **away}),
-        (2, {**on, **away}),
-        (2, away),  # off
-        (2, {**on, **away}),  # off: a signal is missing
-        (2, {**by_hand, **away}),
-        (2, {}),
-        (2, on),
-        (4, closed),
-        (3, {**closed, "error_limit": 1e-9}),  # fault
-        (2, by_hand),
-        (2, {"reset": True}),  # off
-        (2, on),
-        (4, closed),
-        (3, {**closed, "error_limit": 1e-9, "lost_limit": 2}),
-        (2, {**on, "reset": True}),  # ready
-        (2, by_hand),
-        (2, on),
-        (4, {**on, "lost_limit": 2, **away}),  # holding
-        (2, {**on, "reset": True}),  # ready
-        (4, closed),
-        (4, {**closed, "lost_limit": 2, **away}),  # holding
-        (2, {}),
-        (2, on),
-        (20, {**closed, "follow": True, **FREE}),
-    ]
+    words: dict[str, dict[str, Any]] = {
+        "on": {"enable": True, "reference": here + 0.01},
+        "control": {"control": True},
+        "manual": {"manual": True, "manual_command": 0.3},
+        "away": {"valid_position": False, "position": math.nan},
+        "reset": {"reset": True},
+        "exact": {"error_limit": 1e-9},
+        "hasty": {"lost_limit": 2},
+        "weak": {"output_limit": 0.2},
+        "slow": {"output_rate": 2.0, "max_speed": 0.02, "max_acceleration": 0.1, "reference": here},
+        "negative": {"output_limit": -1.0},
+        "wrong": dict.fromkeys(("output_limit", "output_rate", "max_speed", "manual_command"), math.nan),
+        "free": {"follow": True, **FREE},
+    }
+    lost = math.ceil(LOST_TIME / run.config.control_period) + 3
+    for step in re.split(";|\n", TOUR.strip()):
+        count, *held = step.split()
+        for _ in range(lost if count == "lost" else int(count)):
+            run.step(run.signals() | {name: value for word in held for name, value in words[word].items()})
+    changes: list[dict[str, Any]] = [{GAINS + name: value} for name in gains for value in (math.nan, -1e6)]
+    if run.block.corrects:
+        changes += [{"correction_limit": limit} for limit in (0.0, 0.05, math.nan)]
+    for name in (signal.name for signal in run.block.signals.signals if signal.sensor):
+        changes += [{f"valid_{name}": False, name: math.nan}, {}, {name: 1e12}, {}, {name: -1e12}, {}]
+    for change in changes:
+        run.step({**run.signals(), **words["on"], **words["control"], **words["free"], **change})
 
 
 def exported_files(
