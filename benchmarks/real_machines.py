@@ -81,23 +81,24 @@ def festo(given: Namespace) -> None:
     for volts in others:
         for place, chamber in enumerate("AB", 1):
             parts = [part for part in found.held_back if names[path_of[part.recording]] == (volts, chamber)]
-            ratios = 100.0 * np.median([part.speed_ratios for part in parts], axis=0)
             position = 1e3 * np.median([part.whole.error[0] for part in parts])
-            pressures = 1e-5 * np.median([moving_errors(part, place) for part in parts], axis=0)
-            cells = [f"{ratio:+.1f} %" for ratio in ratios] + [f"{pressure:+.2f}" for pressure in pressures]
+            figures = np.median([in_motion(part, place) for part in parts], axis=0)
+            cells = [f"{100.0 * ratio:+.1f} %" for ratio in figures[:2]]
+            cells += [f"{1e-5 * pressure:+.2f}" for pressure in figures[2:]]
             lines.append((f"{volts} V", chamber.lower(), f"{position:.1f}", *cells))
     header = ("step", "chamber", "position, mm", "speed out", "speed in", "pressure out, bar", "pressure in, bar")
     print(markdown(header, lines, left=(0, 1)))
 
 
-def moving_errors(part: HeldBack, channel: int) -> tuple[float, float]:
-    """Median of simulated minus measured pressure, Pa, while both move out, and while both move in."""
+def in_motion(part: HeldBack, channel: int) -> list[float]:
+    """Simulated over measured speed minus 1, and minus measured pressure, Pa: medians of motion out, and in."""
     position = np.stack([part.measured[0], part.simulated[0]])
     speed = position[:, 50:] - position[:, :-50]
     least = MOVING * np.nanmax(np.abs(speed[0]))
+    both = [np.all(sign * speed > least, axis=0) for sign in (1.0, -1.0)]
     error = (part.simulated[channel] - part.measured[channel])[25:-25]
-    out, back = (np.all(sign * speed > least, axis=0) for sign in (1.0, -1.0))
-    return float(np.nanmedian(error[out])), float(np.nanmedian(error[back]))
+    ratios = [float(np.median(speed[1, moves] / speed[0, moves])) - 1.0 for moves in both]
+    return ratios + [float(np.nanmedian(error[moves])) for moves in both]
 
 
 def shake(given: Namespace) -> None:

@@ -37,11 +37,7 @@ FIRST_WINDOWS = 2  # liveliest windows, which show whether the model describes t
 MOST_WINDOWS = 60  # of a recording; more take longer and add little
 
 
-class Read(NamedTuple):
-    """What was read in the windows of a recording."""
-
-    reading: Reading = Reading.of(np.zeros(0))  # of each window
-    fitted: Estimate | None = None
+Read = tuple[Reading, Estimate | None]  # of each window
 
 
 @dataclass(frozen=True)
@@ -81,15 +77,14 @@ def diagnosed(
     checked = Checked(samples, [*checked.findings, *filled])
     findings = checked.findings
     windows = choose(samples)
-    result, residual = Read(), ""
+    reading, fitted, residual = Reading.of(np.zeros(0)), None, ""
     refused = bool(checked.severe)
     if not refused and len(windows):
         try:
-            result = read(windows, config)
+            reading, fitted = read(windows, config)
         except (ValueError, ArithmeticError, LookupError) as error:
             what = f"cannot be read: {error if isinstance(error, HydroError) else reason(error)}"
             findings.append(Finding("windows", " ".join(what.split()), Weight.SEVERE))
-    reading, fitted = result
     if fitted is not None:
         findings += contradictions(fitted, config)
         residual = worst_signal(fitted, config)
@@ -168,7 +163,7 @@ def read_windows(windows: Windows, config: TaskConfig, threads: int | None = Non
     others = np.setdiff1d(np.arange(len(windows)), first)
     detector = EstimatorDetector(threads=threads)
     if not len(first):
-        return Read(*detector.read_and_fit(windows, config))
+        return detector.read_and_fit(windows, config)
     tell("estimator", 0, len(commanded))
     hasty = EstimatorDetector(threads=threads, restarts=1)
     reading, fitted = hasty.read_and_fit(windows.part(first), config)
@@ -182,7 +177,7 @@ def read_windows(windows: Windows, config: TaskConfig, threads: int | None = Non
         reading = reading.replaced(others, rest)
         if more is not None:
             fitted = join([fitted, more])
-    return Read(reading, fitted)
+    return reading, fitted
 
 
 def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:

@@ -260,11 +260,11 @@ def read_leak_test(path: Path, config: TaskConfig, columns: ColumnMap | None = N
 
     def read(windows: Windows, config: TaskConfig) -> Read:
         if len(windows) < 2:
-            return Read(Reading.of(np.full(len(windows), np.nan), why=Why.FEW_WINDOWS))
+            return Reading.of(np.full(len(windows), np.nan), why=Why.FEW_WINDOWS), None
         task = worn_task(config)
         common = common_fit(windows, task, priors_of_test(task, measured_in(windows)))
         found.update(quantities(common))
-        return Read(_reading(common, found, config))
+        return _reading(common, found, config), None
 
     return diagnosed(read_recording(path, columns), config, _windows, read, WINDOW), found
 

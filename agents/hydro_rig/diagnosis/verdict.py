@@ -233,17 +233,13 @@ def tight(case: Case) -> Verdict:
     return case.answer(Kind.UNKNOWN, f"the leak past the piston is {case.leak.text()}, but {why}")
 
 
-RULES = (severe_finding, other_rig, no_size, leaks, other_fault, both_fit, leaks_in_a_part)
-"""The rules in their order; each gives a verdict, or ``None`` if it does not apply."""
+RULES = (severe_finding, other_rig, no_size, leaks, other_fault, both_fit, leaks_in_a_part, tight)
+"""The rules in their order; each gives a verdict, or ``None`` if it does not apply; the last one always does."""
 
 
 def judge(case: Case) -> Verdict:
-    """The verdict of the first of :data:`RULES` that applies; :func:`tight` if none does."""
-    for rule in RULES:
-        verdict = rule(case)
-        if verdict is not None:
-            return verdict
-    return tight(case)
+    """The verdict of the first of :data:`RULES` that applies."""
+    return next(verdict for rule in RULES if (verdict := rule(case)) is not None)
 
 
 def named_fault(reading: Reading) -> str:

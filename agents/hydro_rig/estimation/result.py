@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.special import ndtri
 
 from hydro_env import ConfigurationError
 from hydro_env.compiling import SOURCES, compiled
@@ -197,11 +196,6 @@ class Estimate:
     def deviation(self, name: str) -> Floats:
         """Standard deviations of one unknown, (B,)."""
         return self.deviations[:, self._place(name)]
-
-    def interval(self, name: str, coverage: float = 0.9) -> tuple[Floats, Floats]:
-        """Lower and upper end, (B,) each, of the interval that covers the true value with probability ``coverage``."""
-        reach = ndtri(0.5 + 0.5 * coverage) * self.deviation(name)
-        return self.value(name) - reach, self.value(name) + reach
 
     def widen(self, scaled: Floats, scale: Floats) -> None:
         """Add a difference of scaled values, (B, P), to the uncertainty; ``scale``: value per scaled value, (B, P)."""

@@ -248,10 +248,8 @@ def _power(base: Any, exponent: Any) -> Any:
     return traced._elementwise(np.power, base, exponent)
 
 
-def _diff(self: Traced, array: Any, n: int = 1, axis: int = -1) -> Any:
-    for _ in range(n):
-        array = array._moved(lambda a: np.delete(a, 0, axis)) - array._moved(lambda a: np.delete(a, -1, axis))
-    return array
+def _diff(_: Traced, array: Any, axis: int = -1) -> Any:
+    return array._moved(lambda a: np.delete(a, 0, axis)) - array._moved(lambda a: np.delete(a, -1, axis))
 
 
 _ORDERS = (np.greater, np.greater_equal, np.less, np.less_equal)
@@ -271,18 +269,13 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.where: _where_function,
     np.clip: lambda self, array, low, high: self._of(array).clip(low, high),
     np.sum: lambda self, array, axis=None: self._of(array).sum(axis),
-    np.copy: lambda self, array: self._of(array).copy(),
     np.dot: lambda self, left, right: self._product(left, right),
     np.einsum: _einsum,
     np.diff: _diff,
-    np.outer: lambda self, left, right: self._of(left).reshape(-1, 1) * self._of(right).reshape(1, -1),
     np.searchsorted: lambda _, edges, values: (values.reshape(-1, 1) > edges).astype(np.int64).sum(axis=1),
     np.zeros_like: lambda self, array, **options: self._of(np.zeros_like(array._value, **options)),
-    np.ones_like: lambda self, array, **options: self._of(np.ones_like(array._value, **options)),
     # NaN reveals an element that is never set.
     np.empty_like: lambda self, array, **options: self._of(np.full_like(array._value, np.nan, **options)),
-    np.shape: lambda self, array: self._of(array).shape,
-    np.ndim: lambda self, array: self._of(array).ndim,
 }
 
 

@@ -24,6 +24,7 @@ from scipy import stats
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import PlantParameters, TaskConfig
+from hydro_env.plant.parameters import PARAMETER_LIMITS
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.sensors import COMMAND, PRESSURE_A, SENSORS
 from hydro_env.types import Floats, Indices, Mask
@@ -33,7 +34,6 @@ from hydro_rig.estimation.unknowns import (
     EXTERNAL_LEAKAGE,
     EXTERNAL_RESISTANCE,
     LEAKAGE,
-    PATHS,
     Prior,
     priors_of,
     starts_of,
@@ -136,22 +136,11 @@ def range_ends(config: TaskConfig, ranges: Mapping[str, Distribution], priors: M
     return ends
 
 
-def within_bounds(plant: PlantParameters, name: str, value: float) -> float:
+def within_bounds(name: str, value: float) -> float:
     """A value within the physical bounds of an unknown: no leak is negative, no area 0."""
-    if name in (LEAKAGE, EXTERNAL_LEAKAGE):
-        return max(value, 0.0)
-    if name not in PATHS:
-        return value
-    group, field = name.split(".")
-    for bound in type(getattr(plant, group)).model_fields[field].metadata:
-        low, above, high = (getattr(bound, kind, None) for kind in ("ge", "gt", "le"))
-        if low is not None:
-            value = max(value, low)
-        if above is not None and value <= above:
-            value = above + 1e-6
-        if high is not None:
-            value = min(value, high)
-    return value
+    least = 0.0 if name in (LEAKAGE, EXTERNAL_LEAKAGE) else -np.inf
+    low, high = PARAMETER_LIMITS.get(name, (least, np.inf))
+    return float(np.clip(value, low, high))
 
 
 def truncated_end(value: float, low: float, high: float) -> float:
@@ -238,7 +227,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
         value, low, high = prior.value(np.array([value, low, high])).tolist()
         if name in (LEAKAGE, EXTERNAL_LEAKAGE):
             high = truncated_end(value, low, high)
-        value, low, high = (within_bounds(config.plant, name, end) for end in (value, low, high))
+        value, low, high = (within_bounds(name, end) for end in (value, low, high))
         unknowns.append(Unknown(name, value, low, high, left, float(spread.widening[row])))
     return Fit(tuple(unknowns), common.misfit, common.noise)
 

@@ -41,8 +41,7 @@ def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
         elif name == EXTERNAL_LEAKAGE:
             values[EXTERNAL_RESISTANCE] = resistance_from_flow(value)
         elif name in PATHS:
-            values[name] = value
-    values = {path: within_bounds(config.plant, path, value) for path, value in values.items()}
+            values[name] = within_bounds(name, value)
     breakaway, coulomb = "friction.breakaway_force", "friction.coulomb_force"
     least = values.get(coulomb, own_value(config.plant, coulomb))
     if breakaway in values or least > own_value(config.plant, breakaway):
@@ -79,7 +78,7 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
             least, most = hull(config.plant, plant, path, given)
             inside = max(one.low, least), min(one.high, most)  # the whole interval if it lies outside
             low, high = inside if inside[0] <= inside[1] else (one.low, one.high)
-            low, high = (within_bounds(plant, path, end) for end in (low, high))
+            low, high = (within_bounds(path, end) for end in (low, high))
             if given.times is not None:  # a ratio is never below the old one: breakaway stays above Coulomb friction
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
                 low, high = max(low / factor, least), max(high / factor, least)

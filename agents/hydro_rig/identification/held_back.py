@@ -26,7 +26,6 @@ START_FROM = 0.2  # s; the initial state comes from this first part; afterwards 
 LEAST_MOTION = 20.0  # standard deviation of a channel over its noise, for a meaningful share of variance
 CERTAIN = 1e-7  # s, standard deviation of a timing that the fit has found
 SPEED_OVER = 0.05  # s, over which a speed is a difference of positions
-MOVING = 0.3  # of the largest speed: above, the axis moves, and its simulated speed is compared with the measured one
 NO_FORECASTS = np.empty((2, 0, len(SENSORS), 0))
 
 
@@ -53,18 +52,6 @@ class HeldBack(NamedTuple):
     def whole(self) -> Forecast:
         """How well this part is simulated as a whole."""
         return whole_parts([self])
-
-    @property
-    def speed_ratios(self) -> tuple[float, float]:
-        """Simulated over measured speed while both move, minus 1, median, extending and retracting; NaN: no motion."""
-        measured, simulated = self._speed(self.measured), self._speed(self.simulated)
-        least = MOVING * np.abs(np.nan_to_num(measured)).max(initial=0.0)
-        ratios = [math.nan, math.nan]
-        for place, sign in enumerate((1.0, -1.0)):
-            both = (sign * measured > least) & (sign * simulated > least) & (least > 0.0)
-            if both.any():
-                ratios[place] = float(np.median(simulated[both] / measured[both])) - 1.0
-        return ratios[0], ratios[1]
 
     def _speed(self, readings: Floats) -> Floats:
         """Speed in m/s, (…, T − k), over SPEED_OVER, from readings (…, channels, T)."""

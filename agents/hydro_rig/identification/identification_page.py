@@ -184,9 +184,8 @@ def as_json(found: Identification, command: str) -> Any:
         unknowns[one.name] = one._asdict() | {"unit": unit, "determined": fit.knows(one)}
     parts = []
     for part in found.held_back:
-        out, back = part.speed_ratios
         place = {"recording": sources[part.recording], "from_s": part.begin, "to_s": part.begin + float(part.time[-1])}
-        parts.append(place | sizes(part.whole) | {"speed_out": out, "speed_in": back})
+        parts.append(place | sizes(part.whole))
     whole = {
         "command": command,
         "hydro_env": __version__,

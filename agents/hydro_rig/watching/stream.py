@@ -28,7 +28,7 @@ from hydro_env.files import read_json, write_text
 from hydro_env.folders import config_folder
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
 from hydro_rig.diagnosis.oil import referred, temperature_of
-from hydro_rig.diagnosis.verdict import NO_LEAK, Kind, Leak
+from hydro_rig.diagnosis.verdict import NO_LEAK, Kind, Leak, combined
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.recordings.channels import stands_still
@@ -152,10 +152,7 @@ class AxisWatch:
         reading = self._detector.read(windows, on_grid(self.task, samples.period))
         blind = bool(np.isnan(rows.signals[[PRESSURE_A, PRESSURE_B]]).all())  # a faulty seal can then look healthy
         temperature = temperature_of(rows)
-        leak = NO_LEAK
-        if reading.sized[0]:
-            leak = Leak(float(reading.flow_lpm[0]), float(reading.low_lpm[0]), float(reading.high_lpm[0]))
-        leak = referred(leak, self.axis.oil, temperature)
+        leak = referred(combined(reading)[0], self.axis.oil, temperature)
         if leak.high <= self.axis.limit and not blind:
             self._sure = now
         condition, cause = self._summed_up(reading, leak, activity_of(windows.signals, samples.period))

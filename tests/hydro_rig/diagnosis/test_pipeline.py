@@ -11,7 +11,7 @@ from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis import diagnose as diagnosing
-from hydro_rig.diagnosis.diagnose import Read, diagnose, diagnosed
+from hydro_rig.diagnosis.diagnose import diagnose, diagnosed
 from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.recordings.recording import read_recording
@@ -131,7 +131,7 @@ def test_a_leak_has_the_oil_temperature_of_the_windows_that_were_read(tmp_path):
             del config
             size = np.full(len(windows), 0.3)
             known = {"probability": 1.0, "flow_lpm": size, "low_lpm": 0.9 * size, "high_lpm": 1.1 * size}
-            return Read(Reading.of(size, **known))
+            return Reading.of(size, **known), None
 
         return diagnosed(recording, CONFIG, choose, read, 2.0, oil).reading.flow_lpm[0] / 0.3
 

@@ -36,7 +36,7 @@ def products(a, b, s):
     return {
         "matrix": square,
         "vector": a @ a[0] + np.einsum("i,ij->j", b, a)[:3] * s,
-        "outer": np.outer(b, a[0]),
+        "outer": b[:, None] * a[0],
         "sums": np.concatenate([a.sum(axis=0), quadratic.sum(axis=1), np.sum(a * s)[None]]),
         "row": b @ a,
     }

@@ -5,7 +5,6 @@ import pytest
 from recorded import recorded_file
 
 from hydro_agents.detection.detector import Windows
-from hydro_env import PlantParameters
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 from hydro_rig.estimation.solver import Problem
@@ -129,10 +128,9 @@ def test_a_limit_that_was_never_reached_may_lie_at_the_end_of_its_range():
 
 
 def test_intervals_end_at_physical_bounds():
-    plant = PlantParameters()
     bounded = {"leakage_flow_lpm": (-0.2, 0.0), "pressure_a_bias": (-2e5, -2e5), "load.viscous_damping": (-3.0, 0.0)}
     for name, (value, expected) in (bounded | {"load.mass": (50.0, 50.0)}).items():
-        assert within_bounds(plant, name, value) == expected
+        assert within_bounds(name, value) == expected
     assert truncated_end(0.5, 0.3, 0.7) == 0.7
     assert 0.0 < truncated_end(-0.2, -0.4, 0.0) < 0.2  # a size below zero leaves a small one possible
 
