@@ -40,17 +40,11 @@ from hydro_rig.estimation.unknowns import (
     LATENCY,
     LEAKAGE,
     STARTS,
-    Prior,
+    Priors,
     priors_of,
 )
 
 TOLERANCE = 1e-8  # tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %
-RESPONSE = 3.0
-"""Change of the readings by one step of a difference, in standard deviations of their noise, over all samples.
-
-With smaller steps the integrator's error dominates; with larger ones the readings do not change linearly. A tenth of
-this step changes the bound by 0.01 %, a step ten times as large by up to 1 %.
-"""
 
 
 @dataclass(frozen=True)
@@ -162,23 +156,20 @@ def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mappin
     return Cases(np.array(seeds[:count], dtype=np.int64), levels, faults=every or None)
 
 
-def bound(config: TaskConfig, windows: KnownWindows, priors: Mapping[str, Prior], threads: int | None = None) -> Floats:
+def bound(config: TaskConfig, windows: KnownWindows, priors: Priors, threads: int | None = None) -> Floats:
     """The smallest standard deviation of the leak, (B,), l/min at 100 bar, when the other unknowns are unknown too.
 
-    The commands of the windows are replayed on the true plants; ``threads``: ``None`` takes one per core. By a coarse
-    derivative each step of the differences changes the readings by :data:`RESPONSE`.
+    The commands of the windows are replayed on the true plants; ``threads``: ``None`` takes one per core.
     """
     model, scaled = true_model(config, windows, priors, threads)
-    problem, place = Problem(model, usable_readings(windows.signals, config, model)), model.names.index(LEAKAGE)
-    coarse = model.linearise(scaled)[1][:, model.simulated]
-    steps = np.clip(RESPONSE / np.sqrt(1.0 + (coarse**2).sum(axis=(2, 3))), 1e-7, 0.1)
-    linear = problem.linearised(scaled, steps[:, :, None] * np.eye(len(model.simulated)), central=True)
+    linear = Problem(model, usable_readings(windows.signals, config, model)).linearised(scaled, central=True)
+    place = model.names.index(LEAKAGE)
     deviation: Floats = np.sqrt(linear.covariance()[:, place, place]) * model.prior.slope(scaled)[:, place]
     return deviation
 
 
 def true_model(
-    config: TaskConfig, windows: KnownWindows, priors: Mapping[str, Prior], threads: int | None = None
+    config: TaskConfig, windows: KnownWindows, priors: Priors, threads: int | None = None
 ) -> tuple[Model, Floats]:
     """The model of known windows with a strict integrator, and the true scaled unknowns (B, P)."""
     strict = task_config(config, tolerance=min(config.tolerance, TOLERANCE))
