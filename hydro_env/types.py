@@ -10,3 +10,4 @@ Singles = NDArray[np.float32]  # in single precision, as observations and networ
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Array = NDArray[Any]
+ByName = dict[str, Any]  # values by name

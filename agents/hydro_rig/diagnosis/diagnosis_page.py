@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,7 +13,7 @@ from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised
 from hydro_env.files import write_text
-from hydro_env.types import Floats
+from hydro_env.types import ByName, Floats
 from hydro_rig.diagnosis.diagnose import Diagnosis, leak_table
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.identification.identification_page import findings_frame, rig_line
@@ -88,7 +87,7 @@ def diagnosis_page(
     began = "without a date"
     if recording.begin > FIRST_DATE:
         began = datetime.fromtimestamp(recording.begin, UTC).isoformat(" ", "seconds")
-    facts: dict[str, Any] = {
+    facts: ByName = {
         "recording": recording.source,
         "rig assumed": rig_line(diagnosis.task.plant),
         "begins": began,
@@ -130,6 +129,6 @@ def draw_leak(axes: Axes, diagnosis: Diagnosis) -> None:
     for counts, face, label in ((reading.answers, ORANGE, "estimator"), (~reading.answers, PAPER, "does not count")):
         chosen = np.isfinite(reading.flow_lpm) & counts
         value, low, high = sizes[:, chosen]
-        style: dict[str, Any] = {"fmt": "s", "color": ORANGE, "markerfacecolor": face}
+        style: ByName = {"fmt": "s", "color": ORANGE, "markerfacecolor": face}
         style["label"] = label if chosen.any() else "_"
         axes.errorbar(middle[chosen], value, [value - low, high - value], markersize=4.5, linewidth=1.2, **style)

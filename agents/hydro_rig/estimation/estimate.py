@@ -14,7 +14,7 @@ from hydro_env.types import Floats
 from hydro_rig.estimation.model import LONG_STEP, Model
 from hydro_rig.estimation.result import Errors, Estimate, errors_of, join, spikes_of
 from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of
-from hydro_rig.estimation.unknowns import LATENCY, LEAKAGE, RISE_TIME, STARTS, Prior, prior_of, priors_of
+from hydro_rig.estimation.unknowns import LATENCY, LEAKAGE, RISE_TIME, STARTS, Prior, Priors, prior_of, priors_of
 
 SHORTEST_FIT = 10  # samples; shorter fits carry no information
 RESTART = 0.7  # standard deviation of the random start of a further search, in standard deviations of the prior
@@ -48,7 +48,7 @@ def estimate(
     config: TaskConfig,
     unknowns: Sequence[str] | None = None,
     *,
-    priors: Mapping[str, Prior] | None = None,
+    priors: Priors | None = None,
     physical: Floats | None = None,
     first: Mapping[str, Floats | float] | None = None,
     settings: EstimationSettings | None = None,
@@ -126,7 +126,7 @@ def usable_readings(signals: Floats, config: TaskConfig, model: Model) -> Floats
     return readings / model.noise[:, None]
 
 
-def first_values(signals: Floats, config: TaskConfig, priors: Mapping[str, Prior]) -> Floats:
+def first_values(signals: Floats, config: TaskConfig, priors: Priors) -> Floats:
     """First values (B, P) of the unknowns of B windows; the prior's mean where the signals give no information.
 
     ``signals``: (B, channels + 1, T), NaN where a reading is missing.

@@ -1,6 +1,5 @@
 """The simulator as a model of recorded windows: from unknowns to sensor readings and their derivatives."""
 
-from collections.abc import Mapping
 from copy import copy
 from typing import Any, Self
 
@@ -28,6 +27,7 @@ from hydro_rig.estimation.unknowns import (
     RISE_TIME,
     STARTS,
     Prior,
+    Priors,
 )
 
 LONG_STEP, SHORT_STEP = 2.0, 0.05
@@ -85,7 +85,7 @@ class Model:
     def __init__(
         self,
         config: TaskConfig,
-        priors: Mapping[str, Prior],
+        priors: Priors,
         commands: Floats,
         physical: Floats | None = None,
         start: Floats | None = None,
@@ -111,7 +111,7 @@ class Model:
         self._start = np.tile(resting, (count, 1)) if start is None else with_all_states(np.array(start))
         self._set_priors(priors)
 
-    def _set_priors(self, priors: Mapping[str, Prior]) -> None:
+    def _set_priors(self, priors: Priors) -> None:
         self.priors, self.names = dict(priors), tuple(priors)
         parts = [(prior.mean, prior.deviation, prior.logarithmic) for prior in priors.values()]
         columns: Any = np.array(parts, dtype=np.float64).reshape(-1, 3).T
@@ -141,7 +141,7 @@ class Model:
         other._physical, other._start = self._physical[windows], self._start[windows]
         return other
 
-    def with_priors(self, priors: Mapping[str, Prior]) -> Self:
+    def with_priors(self, priors: Priors) -> Self:
         """The model of the same windows with other unknowns, or other priors."""
         other = copy(self)
         other._set_priors(priors)

@@ -81,6 +81,9 @@ class Prior:
         return np.where(self.logarithmic, self.value(scaled), 1.0) * self.deviation
 
 
+Priors = Mapping[str, Prior]  # by name
+
+
 def starts_of(config: TaskConfig) -> list[str]:
     """Names of the unknown start states of a window."""
     names = ["position", "velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity"]
@@ -110,7 +113,7 @@ def default_unknowns(config: TaskConfig) -> tuple[str, ...]:
 
 
 def priors_of(
-    config: TaskConfig, unknowns: Sequence[str] | None = None, priors: Mapping[str, Prior] | None = None
+    config: TaskConfig, unknowns: Sequence[str] | None = None, priors: Priors | None = None
 ) -> dict[str, Prior]:
     """The prior of each unknown by name, in order: that of the task, unless ``priors`` gives another.
 

@@ -4,7 +4,6 @@ It is written once, in array operations: Python runs it, and ``controller.py`` t
 ONNX. :class:`~hydro_rig.export.contract.State` lists the states; nothing but a new request of the user closes the loop.
 """
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from hydro_agents.controllers.flow_model import FlowModel
 from hydro_agents.controllers.own_loop import LOST_TIME, LOST_TRAVEL, STOPPING_TIME
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.settings import settings_of
-from hydro_env.types import Floats, Indices, Mask
+from hydro_env.types import ByName, Floats, Indices, Mask
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.contract import FaultCode, InternalReference, MeasuredSignals, State, block_inputs
 from hydro_rig.export.tracing import named
@@ -29,11 +28,10 @@ class Sample(NamedTuple):
     controls: Any  # (), whether the loop is closed
     state: Any
     observation: Any
-    value: dict[str, Any]  # signals by name, SI units
+    value: ByName  # signals by name, SI units
     complete: Any
     lost_signals: Any
-    rest: Any  # V, that holds the load
-    memory: dict[str, Any]  # what is known of the next memory, by name
+    memory: ByName  # what is known of the next memory, by name
 
 
 class BlockMemory(NamedTuple):
@@ -78,7 +76,7 @@ class Block:
 
     # Before the controller: signals, state, reference ---------------------------------------------------------------
 
-    def before(self, inputs: Mapping[str, Any], memory: BlockMemory) -> Sample:
+    def before(self, inputs: ByName, memory: BlockMemory) -> Sample:
         """Signals, state and observation of one sample; ``inputs`` by name, () each."""
         value, lost_signals = self._read(inputs, memory)
         complete = np.equal(lost_signals, 0)
@@ -86,7 +84,7 @@ class Block:
         lost_samples = np.where(complete, 0, memory.lost_samples + more)
         asks_manual = inputs["manual"]
         asks_control = inputs["control"] & ~asks_manual
-        new: dict[str, Any] = {
+        new: ByName = {
             "enabled": inputs["enable"],
             "asks_control": asks_control,
             "asks_manual": asks_manual,
@@ -127,11 +125,11 @@ class Block:
         state = np.where(in_fault | astray, int(State.FAULT), state)
         value["previous_command"] = named("previous_command_sample", memory.command / FULL_VOLTAGE)
         observation = self.signals.observation(value)
-        return Sample(begins, controls, state, observation, value, complete, lost_signals, new["rest"], new)
+        return Sample(begins, controls, state, observation, value, complete, lost_signals, new)
 
-    def _read(self, inputs: Mapping[str, Any], memory: BlockMemory) -> tuple[dict[str, Any], Any]:
+    def _read(self, inputs: ByName, memory: BlockMemory) -> tuple[ByName, Any]:
         """The signals by name, the last sample in place of a lost one; and a number with one bit per lost signal."""
-        value: dict[str, Any] = {}
+        value: ByName = {}
         lost_signals: Any = 0
         for place, signal in enumerate(self.signals.signals):
             given, last, (lowest, highest) = inputs[signal.name], memory.last[signal.name], signal.beyond
@@ -147,20 +145,20 @@ class Block:
             lost_signals = lost_signals + np.where(present, 0, 1 << place)
         return value, lost_signals
 
-    def _lost_too_long(self, lost_samples: Any, inputs: Mapping[str, Any], memory: BlockMemory) -> Any:
+    def _lost_too_long(self, lost_samples: Any, inputs: ByName, memory: BlockMemory) -> Any:
         lost_travel = (lost_samples - 1) * (self._period * self._speed_per_volt) * np.absolute(memory.command)
         beyond_own = (lost_travel > LOST_TRAVEL) | (lost_samples * self._period > LOST_TIME)
         limit = inputs["lost_limit"]
         beyond_given = lost_samples > limit
         return (limit > 0) & beyond_given | (limit <= 0) & beyond_own
 
-    def _add_speed(self, value: dict[str, Any], new: dict[str, Any], memory: BlockMemory) -> None:
+    def _add_speed(self, value: ByName, new: ByName, memory: BlockMemory) -> None:
         rate = (value["position"] - memory.last["position"]) / self._period
         speed = memory.velocity_estimate
         smoothed = np.where(memory.seen, speed + self._blend * (rate - speed), 0.0)
         value["velocity_estimate"] = new["velocity_estimate"] = named("velocity_estimate_sample", smoothed)
 
-    def _add_error(self, value: dict[str, Any], new: dict[str, Any], memory: BlockMemory, begins: Any) -> None:
+    def _add_error(self, value: ByName, new: ByName, memory: BlockMemory, begins: Any) -> None:
         error = value["reference"] - value["position"]
         value["tracking_error"] = named("tracking_error_sample", error)
         new["error_integral"] = integral = memory.error_integral
@@ -173,14 +171,14 @@ class Block:
 
     # The controller --------------------------------------------------------------------------------------------------
 
-    def answer(self, observation: Any, inputs: Mapping[str, Any], memory: Any) -> tuple[dict[str, Any], Any]:
+    def answer(self, observation: Any, inputs: ByName, memory: Any) -> tuple[ByName, Any]:
         """What the controller answers, by name, () each, and its new memory; ``None``: it begins."""
         controller: Any = self.controller
         if hasattr(controller, "limited"):
             controller = controller.limited(_output_limit(inputs) / FULL_VOLTAGE)
         command, new = controller.predict(observation, memory)
         wanted = command.astype(np.float64)[0, 0]
-        answer: dict[str, Any] = {}
+        answer: ByName = {}
         if self.corrects:
             base_command = new.base_command.astype(np.float64)[0, 0]
             correction = wanted - base_command
@@ -204,8 +202,8 @@ class Block:
     # After it: limits and faults -------------------------------------------------------------------------------------
 
     def after(
-        self, sample: Sample, inputs: Mapping[str, Any], memory: BlockMemory, wanted: Any, refused: Any = False
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        self, sample: Sample, inputs: ByName, memory: BlockMemory, wanted: Any, refused: Any = False
+    ) -> tuple[ByName, ByName]:
         """Outputs and the memory but that of the controller, by name.
 
         ``wanted``: V, of the controller if it controls; ``refused``: whether a gain is out of its range.
@@ -217,7 +215,7 @@ class Block:
         by_hand = inputs["manual_command"]
         by_hand = np.where(np.absolute(by_hand) <= 1e3 * FULL_VOLTAGE, by_hand, 0.0)
         rests = is_now[State.READY] | is_now[State.HOLDING]
-        target = np.where(is_now[State.MANUAL], by_hand, np.where(rests, sample.rest, 0.0))
+        target = np.where(is_now[State.MANUAL], by_hand, np.where(rests, sample.memory["rest"], 0.0))
         target = np.where(is_now[State.CONTROLLING], wanted, target)
         limit = _output_limit(inputs)
         target = named("limited", np.clip(target, -limit, limit))
@@ -257,15 +255,13 @@ class Block:
         return BlockMemory(*common, integral, no, path, zero, memory)
 
     def __call__(
-        self, inputs: Mapping[str, Any], memory: BlockMemory | None = None, refused: bool = False
-    ) -> tuple[dict[str, Any], BlockMemory]:
+        self, inputs: ByName, memory: BlockMemory | None = None, refused: bool = False
+    ) -> tuple[ByName, BlockMemory]:
         """Outputs of one sample by name, and the memory for the next; inputs that are missing have their defaults.
 
         ``refused``: whether a gain was out of its range.
         """
-        given: dict[str, Any] = {
-            row.name: np.asarray(inputs.get(row.name, row.default), row.kind) for row in self.inputs
-        }
+        given: ByName = {row.name: np.asarray(inputs.get(row.name, row.default), row.kind) for row in self.inputs}
         memory = memory if memory is not None else self.empty()
         with np.errstate(all="ignore"):
             sample = self.before(given, memory)
@@ -286,7 +282,7 @@ class Block:
         return ("wanted", *corrected, *estimated)
 
 
-def _output_limit(inputs: Mapping[str, Any]) -> Any:
+def _output_limit(inputs: ByName) -> Any:
     """Largest command, V, (); 0 for what is not a number."""
     given = inputs["output_limit"]
     return np.where(given >= 0.0, np.minimum(given, FULL_VOLTAGE), 0.0)

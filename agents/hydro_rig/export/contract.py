@@ -1,6 +1,6 @@
 """What a block and its user agree on: signals with units, inputs and outputs, states, and the internal reference."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
 from hydro_env.task.paces import full_speed
 from hydro_env.task.sensors import CHANNEL_UNITS, CHANNELS
 from hydro_env.task.signals import observation_layout
+from hydro_env.types import ByName
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.graph import SCALED
 from hydro_rig.export.tracing import named
@@ -94,9 +95,9 @@ class MeasuredSignals:
         text = SENSOR_MEANINGS.get(name, "measured")
         return MeasuredSignal(name, CHANNEL_UNITS[name], sensor.low, sensor.high, limit, text, True)
 
-    def inputs_of(self, axes: Axes) -> dict[str, Any]:
+    def inputs_of(self, axes: Axes) -> ByName:
         """Inputs of a block by name: the signals of the first simulated axis as its sensors read, all of them valid."""
-        now, found = int(axes.column("step")[0]), dict[str, Any]()
+        now, found = int(axes.column("step")[0]), ByName()
         for signal in self.signals:
             if signal.sensor:
                 found[signal.name] = float(axes.column("measured")[0, CHANNELS.index(signal.name)])
@@ -105,7 +106,7 @@ class MeasuredSignals:
                 found[signal.name] = float(axes.reference[0, now + signal.ahead])
         return found
 
-    def observation(self, value: Mapping[str, Any]) -> Any:
+    def observation(self, value: ByName) -> Any:
         """The observation of the environment, (1, entries), from signals and computed entries by name, SI units."""
         entries = [np.float32(0.0)] * len(self.layout.names)
         for place, name in enumerate(self.layout.names):
@@ -146,10 +147,10 @@ class BlockInput(NamedTuple):
     """An input of the block beside the gains."""
 
     name: str
-    unit: str
-    kind: type
-    default: Any
     meaning: str
+    kind: type = bool
+    default: Any = False
+    unit: str = ""
 
 
 OUTPUTS = {
@@ -175,36 +176,31 @@ def block_inputs(
     ``corrects``: whether its controller is a policy that corrects another one.
     """
     rows = [
-        BlockInput("enable", "", bool, False, "FALSE: off"),
-        BlockInput("control", "", bool, False, "a change to TRUE closes the loop"),
-        BlockInput("manual", "", bool, False, "a change to TRUE hands the valve to manual_command; before control"),
-        BlockInput("reset", "", bool, False, "a change to TRUE leaves holding, if no signal is lost, and fault"),
+        BlockInput("enable", "FALSE: off"),
+        BlockInput("control", "a change to TRUE closes the loop"),
+        BlockInput("manual", "a change to TRUE hands the valve to manual_command; before control"),
+        BlockInput("reset", "a change to TRUE leaves holding, if no signal is lost, and fault"),
     ]
-    ahead = False
     for signal in signals:
-        if signal.ahead and not ahead:
-            text = "TRUE: the references are a motion, now and ahead; FALSE: reference is a target of the own motion"
-            rows.append(BlockInput("follow", "", bool, False, f"{text}. Read when the loop closes"))
-            ahead = True
-        rows.append(BlockInput(signal.name, signal.unit, float, 0.0, signal.meaning))
+        rows.append(BlockInput(signal.name, signal.meaning, float, 0.0, signal.unit))
         if signal.sensor:
             text = "its sensor measures: wire, module and bus in order, a number"
-            rows.append(BlockInput(f"valid_{signal.name}", "", bool, False, text))
-    if not ahead:
-        text = "TRUE: reference is a motion; FALSE: a target of the own motion. Read when the loop closes"
-        rows.append(BlockInput("follow", "", bool, False, text))
+            rows.append(BlockInput(f"valid_{signal.name}", text))
+    follow = "TRUE: the reference, and those ahead, are a motion; FALSE: reference is a target of the own motion"
+    lost = f"successive lost samples that are allowed; 0: {LOST_RULE}"
     rows += [
-        BlockInput("manual_command", "V", float, 0.0, "in state manual, such as that of another controller"),
-        BlockInput("output_limit", "V", float, FULL_VOLTAGE, "largest command in every state"),
-        BlockInput("output_rate", "V/s", float, FULL_VOLTAGE / STOPPING_TIME, "largest change; 0: the usual one"),
-        BlockInput("max_speed", "m/s", float, max_speed, "of the own motion; 0: the usual one"),
-        BlockInput("max_acceleration", "m/s^2", float, max_acceleration, "of it; 0: the usual one"),
-        BlockInput("error_limit", "m", float, 0.0, "following error beyond which it is in fault; 0: none"),
-        BlockInput("lost_limit", "", int, 0, f"successive lost samples that are allowed; 0: {LOST_RULE}"),
+        BlockInput("follow", f"{follow}. Read when the loop closes"),
+        BlockInput("manual_command", "in state manual, such as that of another controller", float, 0.0, "V"),
+        BlockInput("output_limit", "largest command in every state", float, FULL_VOLTAGE, "V"),
+        BlockInput("output_rate", "largest change; 0: the usual one", float, FULL_VOLTAGE / STOPPING_TIME, "V/s"),
+        BlockInput("max_speed", "of the own motion; 0: the usual one", float, max_speed, "m/s"),
+        BlockInput("max_acceleration", "of it; 0: the usual one", float, max_acceleration, "m/s^2"),
+        BlockInput("error_limit", "following error beyond which it is in fault; 0: none", float, 0.0, "m"),
+        BlockInput("lost_limit", lost, int, 0),
     ]
     if corrects:
         text = "largest correction by the policy; 0: the controller that it corrects acts alone"
-        rows.append(BlockInput("correction_limit", "V", float, 2.0 * FULL_VOLTAGE, text))
+        rows.append(BlockInput("correction_limit", text, float, 2.0 * FULL_VOLTAGE, "V"))
     return rows
 
 
@@ -219,9 +215,7 @@ class InternalReference:
         self.max_acceleration = self.max_speed * closed_port_natural_frequency(plant) / ACCELERATING
         """Its usual acceleration, m/s²."""
 
-    def add(
-        self, value: dict[str, Any], new: dict[str, Any], inputs: Mapping[str, Any], memory: Any, begins: Any
-    ) -> None:
+    def add(self, value: ByName, new: ByName, inputs: ByName, memory: Any, begins: Any) -> None:
         """The reference that the controller sees: it starts at the axis, with its speed, and joins the given one.
 
         What is added to a given motion goes to 0; an own motion goes to its target. Both end exactly there.
@@ -254,7 +248,7 @@ class InternalReference:
             preview = value[ahead_name(name, period)] - value["reference"]
             value[name] = named(f"{name}_sample", preview)
 
-    def _limits(self, inputs: Mapping[str, Any]) -> tuple[Any, Any]:
+    def _limits(self, inputs: ByName) -> tuple[Any, Any]:
         speed, acceleration = (np.minimum(inputs[name], LARGEST) for name in ("max_speed", "max_acceleration"))
         largest_speed = np.where(speed > 0.0, speed, self.max_speed)
         return largest_speed, np.where(acceleration > 0.0, acceleration, self.max_acceleration)

@@ -14,6 +14,7 @@ from hydro_agents.controllers.flow_linearising import FlowLinearising
 from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import GainRow, gain_rows
 from hydro_env import TaskConfig, __version__
+from hydro_env.types import ByName
 from hydro_rig.export.block import Block
 from hydro_rig.export.c_files import c_code
 from hydro_rig.export.c_writer import Writer, declaration
@@ -91,13 +92,13 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
     """
     who, gains = type(controller).__name__, variable_gains(controller)
     block = Block(controller, MeasuredSignals(config, entries_read(controller, config)))
-    inputs = [*block.inputs, *(BlockInput(GAINS + g.name, "", float, float(g.value), g.meaning) for g in gains)]
+    inputs = [*block.inputs, *(BlockInput(GAINS + g.name, g.meaning, float, float(g.value)) for g in gains)]
     empty = block.empty()
     zeros = leaves_of(empty)
 
-    def step(**values: Any) -> dict[str, Any]:
+    def step(**values: Any) -> ByName:
         refused: Any = np.False_
-        variable: dict[str, Any] = {}
+        variable: ByName = {}
         for gain in gains:
             present_gain = values[GAINS + gain.name]
             within = np.logical_and(present_gain >= gain.low, present_gain <= gain.high)
@@ -110,7 +111,7 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
             varied.controller = changed
         memory = with_leaves(empty, values)
         sample = varied.before(values, memory)
-        outputs: dict[str, Any] = {"controls": sample.controls, "begins": sample.begins}
+        outputs: ByName = {"controls": sample.controls, "begins": sample.begins}
         for prefix, before in ((STARTED, None), (CONTINUED, memory.controller)):
             answer, new = varied.answer(sample.observation, values, before)
             outputs |= {prefix + ANSWER + name: value for name, value in answer.items()}
@@ -119,7 +120,7 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
         outputs |= {OUTPUT + name: value for name, value in found.items()}
         return outputs | leaves_of(new_memory)
 
-    given: dict[str, Any] = {row.name: np.array(row.default, row.kind) for row in inputs}
+    given: ByName = {row.name: np.array(row.default, row.kind) for row in inputs}
     given |= {ANSWER + name: np.zeros(()) for name in block.answers}
     graph = trace(step, {**given, **zeros})
     after, _ = controller.predict(np.zeros((1, len(block.signals.layout.names)), dtype=np.float32), None)
@@ -152,8 +153,8 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
     empty = Block(controller, signals).empty().controller
     memory = leaves_of(empty, "memory")
 
-    def predict(**values: Any) -> dict[str, Any]:
-        outputs: dict[str, Any] = {}
+    def predict(**values: Any) -> ByName:
+        outputs: ByName = {}
         observation = np.stack([values[name] for name in signals.layout.names])[None]
         for prefix, before in ((STARTED, None), (CONTINUED, with_leaves(empty, values, "memory"))):
             outputs[f"{prefix}command"], new = controller.predict(observation, before)
@@ -169,18 +170,18 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
     return {name for name in signals.layout.names if graph.inputs[name] in used}
 
 
-def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
+def leaves_of(memory: Any, name: str = "") -> ByName:
     """The arrays of a memory by name; it consists of named tuples, tuples, lists and dictionaries.
 
     Raises:
         TraceError: the memory contains other objects.
     """
-    leaves: dict[str, Any] = {}
+    leaves: ByName = {}
     _rebuilt(memory, name, leaves.__setitem__)
     return leaves
 
 
-def with_leaves(memory: Any, leaves: Mapping[str, Any], name: str = "") -> Any:
+def with_leaves(memory: Any, leaves: ByName, name: str = "") -> Any:
     """The memory with other arrays; the inverse of :func:`leaves_of`."""
     return _rebuilt(memory, name, lambda place, array: leaves[place].reshape(array.shape))
 
@@ -220,7 +221,7 @@ def c_name(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
-def facts_of(controller: ControllerGraph, name: str) -> dict[str, Any]:
+def facts_of(controller: ControllerGraph, name: str) -> ByName:
     """What all templates say about a block with a name."""
     return {
         "name": name,
@@ -238,7 +239,7 @@ def facts_of(controller: ControllerGraph, name: str) -> dict[str, Any]:
 
 def written_step(
     controller: ControllerGraph, writer: Writer, texts: Mapping[str, str], outputs: Mapping[str, str]
-) -> dict[str, Any]:
+) -> ByName:
     """What the templates of C and Structured Text write beside the facts: tables, memory, the statements of a step.
 
     These are ``common``, then those of a start or of a continuation or ``idle`` ones, then ``after``. ``texts``: the

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -16,6 +16,7 @@ from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import ConfigurationError, HydroError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.sensors import CHANNELS
+from hydro_env.types import ByName
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import TEMPLATES, csv_text, tested
 from hydro_rig.export.contract import LOST_RULE
@@ -51,8 +52,8 @@ class Vector(NamedTuple):
     """A sample."""
 
     start: bool  # it begins with a new block
-    inputs: dict[str, Any]  # of the block and its gains, by name
-    outputs: dict[str, Any]  # COMPARED
+    inputs: ByName  # of the block and its gains, by name
+    outputs: ByName  # COMPARED
 
 
 HEADERS = frozenset((TEMPLATES / "c_headers.txt").read_text(encoding="utf-8").split())
@@ -110,7 +111,7 @@ class _Episode:
         self.signals = partial(graph.signals.inputs_of, self.axes)  # and the references of the environment
         self.vectors: list[Vector] = []
 
-    def step(self, inputs: dict[str, Any], moves: bool = True) -> float:
+    def step(self, inputs: ByName, moves: bool = True) -> float:
         """One call of the block, V; the axis moves for a control period, until the end of its episode."""
         refused = any(name.startswith(GAINS) for name in inputs)  # such a gain is out of its range
         outputs, self.memory = self.block(inputs, self.memory, refused)
@@ -145,7 +146,7 @@ def _follow(run: _Episode) -> None:
 def _tour(run: _Episode, gains: Sequence[str]) -> None:
     """Drive the axis through TOUR, then with lost signals, and values and gains out of range."""
     here = run.signals()["position"]
-    words: dict[str, dict[str, Any]] = {
+    words: dict[str, ByName] = {
         "on": {"enable": True, "reference": here + 0.01},
         "control": {"control": True},
         "manual": {"manual": True, "manual_command": 0.3},
@@ -164,7 +165,7 @@ def _tour(run: _Episode, gains: Sequence[str]) -> None:
         count, *held = step.split()
         for _ in range(lost if count == "lost" else int(count)):
             run.step(run.signals() | {name: value for word in held for name, value in words[word].items()})
-    changes: list[dict[str, Any]] = [{GAINS + name: value} for name in gains for value in (math.nan, -1e6)]
+    changes: list[ByName] = [{GAINS + name: value} for name in gains for value in (math.nan, -1e6)]
     if run.block.corrects:
         changes += [{"correction_limit": limit} for limit in (0.0, 0.05, math.nan)]
     for name in (signal.name for signal in run.block.signals.signals if signal.sensor):
@@ -235,7 +236,7 @@ def check_onnx(model: bytes, graph: ControllerGraph, vectors: list[Vector]) -> s
     memory = np.zeros(size)
     for start, given, expected in vectors:
         memory = np.zeros(size) if start else memory
-        values: dict[str, Any] = {name: np.array([value], kinds[name]) for name, value in given.items()}
+        values: ByName = {name: np.array([value], kinds[name]) for name, value in given.items()}
         found = dict(zip(names, session.run(None, {**values, "memory": memory}), strict=True))
         memory = found["next_memory"]
         differences.append(abs(float(found["command"][0]) - expected["command"]) / FULL_VOLTAGE)

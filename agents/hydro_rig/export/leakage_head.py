@@ -4,8 +4,6 @@ Repair of gaps, flow balance and features are translated from the compiled funct
 the network is traced from its NumPy code.
 """
 
-from typing import Any
-
 import numpy as np
 
 from hydro_agents.detection.balance import fit, fit_balance
@@ -17,7 +15,7 @@ from hydro_agents.running.seeds import HEAD_VECTORS
 from hydro_env import ServoHydraulicVectorEnv, __version__
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.task.signals import observation_layout
-from hydro_env.types import Floats
+from hydro_env.types import ByName, Floats
 from hydro_rig.export.c_files import c_code, csv_text, tested
 from hydro_rig.export.c_writer import Writer
 from hydro_rig.export.contract import SENSOR_MEANINGS
@@ -77,7 +75,7 @@ def head_code(head: LeakageHead) -> dict[str, str]:
     network = writer.statements(graph.nodes())
     answer = writer.kept("answers", graph.outputs["answer"], network)
     network.append(writer.stored("answer", answer, len(FIELDS)))
-    values: dict[str, Any] = {
+    values: ByName = {
         **_texts(head),
         "sensors": len(SENSORS),
         "features": len(FEATURES),
@@ -95,7 +93,7 @@ def head_code(head: LeakageHead) -> dict[str, str]:
     return c_code(NAME, values)
 
 
-def _texts(head: LeakageHead) -> dict[str, Any]:
+def _texts(head: LeakageHead) -> ByName:
     return {
         "version": __version__,
         "head": head,

@@ -21,8 +21,9 @@ from hydro_agents.running.tasks import own_reference
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig, task_config
 from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.analysis import reachable_range
+from hydro_env.task.randomisation import own_value
 from hydro_env.task.record import FAILURES
-from hydro_env.types import Floats, Indices
+from hydro_env.types import ByName, Floats, Indices
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import WARNINGS, compiled
 from hydro_rig.export.contract import MeasuredSignals, State
@@ -73,7 +74,7 @@ class CBlock:
         """A new block: off, with the usual limits and gains."""
         self._reset(self._memory)
 
-    def step(self, inputs: Mapping[str, Any]) -> float:
+    def step(self, inputs: ByName) -> float:
         """The command for one sample, V; inputs that are not given keep their values."""
         for name in inputs.keys() & self.names:
             setattr(self.values, name, inputs[name])
@@ -150,13 +151,13 @@ def _play(block: CBlock, config: TaskConfig, scene: Scene) -> Take:
     event = ready + round(0.5 * moving / period)
     late = config.command_latency + scene.late * period
     reference = np.full(moves[-1] + 2, targets[1])
-    changes: dict[str, Any] = {"command_latency": late, "command_latency_range": None}
+    changes: ByName = {"command_latency": late, "command_latency_range": None}
     task = task_config(own_reference(config, reference), **changes)
     env = ServoHydraulicVectorEnv(1, task, info=False)
-    options: dict[str, Any] = {"leakage_flow_lpm": scene.leak, "initial_position": targets[1], "parameters": {}}
+    options: ByName = {"leakage_flow_lpm": scene.leak, "initial_position": targets[1], "parameters": {}}
     for path, factor in scene.factors.items():
         group, name = path.split(".")
-        options["parameters"][group] = {name: factor * getattr(getattr(config.plant, group), name)}
+        options["parameters"][group] = {name: factor * own_value(config.plant, path)}
     env.reset(seed=[CONTROLLER_VECTORS.first], options=options)
     sensors = [one.name for one in signals.signals if one.sensor and one.name in block.names]
     rows: list[tuple[float, ...]] = []
@@ -180,7 +181,7 @@ def _play(block: CBlock, config: TaskConfig, scene: Scene) -> Take:
     return Take(scene, time, place, path, commands, states, event, moves, targets, end)
 
 
-def _event(event: str, now: int, begins: int, pause: int, sensors: list[str]) -> dict[str, Any]:
+def _event(event: str, now: int, begins: int, pause: int, sensors: list[str]) -> ByName:
     """Inputs that an event changes in a sample."""
     if event == "lost" and now % LOST_EVERY == LOST_EVERY // 2:
         name = sensors[now // LOST_EVERY % len(sensors)]

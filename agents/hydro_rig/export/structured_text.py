@@ -4,12 +4,13 @@ The same text as PLCopen XML (TC6, version 2.01) is what CODESYS, TwinCAT 3 and 
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from hydro_env import __version__
+from hydro_env.types import ByName
 from hydro_rig.export.c_files import TEMPLATES, render
 from hydro_rig.export.c_writer import ARITHMETIC, Language, Writer, declaration
 from hydro_rig.export.controller import GAINS, ControllerGraph, facts_of, field, written_step
@@ -85,7 +86,7 @@ class TextWriter(Writer):
 
     def __init__(self, graph: Graph, taken: Sequence[str], name: str) -> None:
         super().__init__(graph, {}, LANGUAGE, taken)
-        self.functions: list[dict[str, Any]] = []
+        self.functions: list[ByName] = []
         self.longest = 0  # vector of the products
         self._name = name  # of the function block
         self._calls: dict[Node, list[str]] = {}  # of the functions of each matrix
@@ -158,7 +159,7 @@ def call_example(controller: ControllerGraph, name: str) -> str:
     return _rendered("controller_call", controller, name, {})
 
 
-def _rendered(template: str, controller: ControllerGraph, name: str, values: Mapping[str, Any]) -> str:
+def _rendered(template: str, controller: ControllerGraph, name: str, values: ByName) -> str:
     """A template with its values, for editors of old."""
     own = {"st_name": st_name, "literal": literal, "real": LANGUAGE.types[controller.real]}
     values = {**facts_of(controller, name), **own, **values}
@@ -185,7 +186,7 @@ def plcopen_xml(text: str, name: str) -> str:
     return render("plcopen.xml.j2", {"name": name, "version": __version__, "types": types, "units": units}) + "\n"
 
 
-def _declared(text: str) -> list[dict[str, Any]]:
+def _declared(text: str) -> list[ByName]:
     """The declarations of a section: name, kind, last index or "", initial values, comment."""
     return [
         {"name": name, "kind": kind, "last": last, "numbers": re.findall(r"[^\s,]+", values), "comment": comment}

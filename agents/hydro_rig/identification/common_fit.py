@@ -4,7 +4,6 @@ A cost with friction and edges has local minima. The search therefore begins at 
 found by themselves. Windows that the common values do not explain are fitted again from them.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -16,7 +15,7 @@ from hydro_rig.estimation.estimate import LARGEST_MISFIT, EstimationSettings, es
 from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_rig.estimation.result import NOISY, Errors, Estimate, errors_of
 from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of, tell
-from hydro_rig.estimation.unknowns import LATENCY, STARTS, Prior
+from hydro_rig.estimation.unknowns import LATENCY, STARTS, Prior, Priors
 
 WELL_FITTED = LARGEST_MISFIT  # of an explained window
 OUTLIER, FAR_OUTLIER = 3.0, 30.0
@@ -124,7 +123,7 @@ def descend(problem: Problem, first: Floats, effort: Effort = ROUGH) -> tuple[Fl
     return fit(problem, first, effort, shared=shared_and_own(problem.model)[0])
 
 
-def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> Common:
+def common_fit(windows: Windows, config: TaskConfig, priors: Priors) -> Common:
     """Fit windows of one recording, or of several of one axis, together."""
     tell("windows", 0, len(windows))
     alone = estimate(windows.signals, config, list(priors), settings=ROUGHLY, boundary=windows.boundary)
@@ -179,7 +178,7 @@ def _with_timing(found: Common) -> Common:
     return found.continued(problem, rough[int(np.argmin(costs_of(problem, rough)))])
 
 
-def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> Problem:
+def replayed(windows: Windows, config: TaskConfig, priors: Priors) -> Problem:
     """Some windows, and the model of them."""
     model = Model(config, priors, windows.signals[:, -1], boundary=windows.boundary)
     return Problem(model, usable_readings(windows.signals, config, model))
@@ -198,7 +197,7 @@ def _nearby(windows: Windows, config: TaskConfig, found: Common) -> Estimate:
     return near
 
 
-def _common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], alone: Estimate) -> Common:
+def _common_fit(windows: Windows, config: TaskConfig, priors: Priors, alone: Estimate) -> Common:
     """The best common fit of the consistent windows from several starting values."""
     kept = without_outliers(alone.misfit)
     for again in (False, True):  # the second time without the outliers of the first

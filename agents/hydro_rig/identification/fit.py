@@ -52,6 +52,9 @@ COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in 
 DETERMINED = 0.5  # largest standard deviation of a determined unknown, as a share of that of its range
 
 
+Ranges = Mapping[str, Distribution]  # by name
+
+
 class Spread(NamedTuple):
     """Uncertainty of the p common unknowns, scaled by their ranges."""
 
@@ -125,7 +128,7 @@ def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distr
     return min(ends), max(ends)
 
 
-def range_ends(config: TaskConfig, ranges: Mapping[str, Distribution], priors: Mapping[str, Prior]) -> Floats:
+def range_ends(config: TaskConfig, ranges: Ranges, priors: Mapping[str, Prior]) -> Floats:
     """Ends of the ranges of some unknowns, (p, 2), scaled by their priors; infinite without a range of its own."""
     ends = np.tile([-np.inf, np.inf], (len(priors), 1))
     for place, (name, prior) in enumerate(priors.items()):
@@ -187,7 +190,7 @@ class Fit(NamedTuple):
         return {one.name: one.value for one in self.unknowns}
 
 
-def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured: Mask) -> list[str]:
+def unknowns_of(config: TaskConfig, ranges: Ranges, measured: Mask) -> list[str]:
     """Names of the unknowns: parameters with a range, leak, biases of ``measured`` channels, (channels,), and start."""
     plant = [EXTERNAL_LEAKAGE if path == EXTERNAL_RESISTANCE else path for path in ranges]
     biases = [name for name, seen in zip(BIASES, measured, strict=True) if seen and config.sensors.enabled]
@@ -195,7 +198,7 @@ def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured
     return [LEAKAGE, *plant, *biases, *gain, *starts_of(config)]
 
 
-def fit_windows(windows: Windows, config: TaskConfig, ranges: Mapping[str, Distribution], recording: Indices) -> Fit:
+def fit_windows(windows: Windows, config: TaskConfig, ranges: Ranges, recording: Indices) -> Fit:
     """Fit the unknowns to windows of one recording, or of several of one axis.
 
     Each window is fitted alone first. The common fit starts from the values of the window that fits all others best.
@@ -211,7 +214,7 @@ def measured_in(windows: Windows) -> Mask:
     return np.asarray(np.isfinite(windows.signals[:, :COMMAND]).any(axis=(0, 2)))
 
 
-def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distribution], recording: Indices) -> Fit:
+def _summary(common: Common, config: TaskConfig, ranges: Ranges, recording: Indices) -> Fit:
     """Values and intervals of the shared unknowns; one that the readings leave open keeps its range."""
     joint, model = common.joint, common.model
     priors = {model.names[place]: model.priors[model.names[place]] for place in joint.shared}

@@ -12,6 +12,7 @@ from hydro_agents.running.text import decimals_for, number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parts.leakage import LEAK_LAWS, leak_past_piston
 from hydro_env.task.randomisation import Distribution, own_value
+from hydro_env.types import ByName
 from hydro_env.units import FACTORS, flow_from_resistance, resistance_from_flow
 from hydro_rig.estimation.unknowns import (
     BIASES,
@@ -23,7 +24,7 @@ from hydro_rig.estimation.unknowns import (
     PATHS,
     RISE_TIME,
 )
-from hydro_rig.identification.fit import Fit, hull, within_bounds
+from hydro_rig.identification.fit import Fit, Ranges, hull, within_bounds
 
 DIGITS = 6  # significant, of the numbers in the file
 _BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
@@ -58,12 +59,12 @@ def found_plant(fit: Fit, config: TaskConfig) -> PlantParameters:
     return config.plant.replace(**groups)
 
 
-def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> dict[str, dict[str, Any]]:
+def narrowed(fit: Fit, config: TaskConfig, ranges: Ranges) -> dict[str, ByName]:
     """The range of each parameter in the new rig file: its 95 % interval, within the given range.
 
     An undetermined parameter keeps its range. The leak, which a task draws, keeps its range too.
     """
-    result: dict[str, dict[str, Any]] = {}
+    result: dict[str, ByName] = {}
     plant = found_plant(fit, config)
     for one in fit.unknowns:
         path = EXTERNAL_RESISTANCE if one.name == EXTERNAL_LEAKAGE else one.name
@@ -86,7 +87,7 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
     return result
 
 
-def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> list[str]:
+def beyond_range(fit: Fit, config: TaskConfig, ranges: Ranges) -> list[str]:
     """Names of the parameters whose whole interval lies outside the range of the rig file."""
     plant, beyond = found_plant(fit, config), []
     for one in fit.unknowns:
@@ -97,7 +98,7 @@ def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution
     return beyond
 
 
-def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dict[str, Any]:
+def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> ByName:
     """The old range; factors become values in SI, because the rig's own value changes."""
     if not given.relative:
         return given.model_dump(exclude_defaults=True)
@@ -106,7 +107,7 @@ def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dic
     return {form: list(given.bounds(own_value(plant, path))), **rest}
 
 
-def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
+def _external(low: float, high: float, given: Distribution) -> ByName:
     """Range of the resistance of the leak past the rod seal; ``low``, ``high`` in l/min at 100 bar."""
     least, most = sorted(given.bounds(1.0))
     ends = tuple(resistance_from_flow(max(flow, 0.0)) for flow in (high, low))
@@ -114,15 +115,13 @@ def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
         return {"log_uniform": [least, most], "otherwise": math.inf, "otherwise_probability": 1.0}
     if ends[1] >= least:  # else it leaks more than the old range allows
         ends = max(ends[0], least), min(ends[1], most)
-    found: dict[str, Any] = {"log_uniform": list(ends)}
+    found: ByName = {"log_uniform": list(ends)}
     if low <= 0.0 and given.otherwise is not None:  # it may be tight
         found |= {"otherwise": given.otherwise, "otherwise_probability": given.otherwise_probability}
     return found
 
 
-def rig_yaml(
-    rig: Mapping[str, Any], fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution], notes: list[str]
-) -> str:
+def rig_yaml(rig: Mapping[str, Any], fit: Fit, config: TaskConfig, ranges: Ranges, notes: list[str]) -> str:
     """The given rig file with the identified values and the narrowed ranges; the notes stand at its top."""
     values = deepcopy(dict(rig))
     found = found_values(fit, config)

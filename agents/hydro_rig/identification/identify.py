@@ -26,7 +26,7 @@ from hydro_rig.identification.held_back import (
     whole_parts,
 )
 from hydro_rig.recordings.columns import ColumnMap, matching
-from hydro_rig.recordings.findings import Finding
+from hydro_rig.recordings.findings import Findings
 from hydro_rig.recordings.parts import Parts, parts_of
 from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
@@ -83,9 +83,9 @@ class Identification:
         return float(self.decisive.share[POSITION])
 
     @property
-    def findings(self) -> list[Finding]:
+    def findings(self) -> Findings:
         """All findings; with several recordings each begins with the name of its file."""
-        found: list[Finding] = []
+        found: Findings = []
         for recording, checked, changes in zip(self.recordings, self.checked, self.parts.findings, strict=True):
             name = f"{Path(recording.source).name}: " if len(self.recordings) > 1 else ""
             for finding in (*checked.findings, *changes):

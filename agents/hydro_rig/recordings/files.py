@@ -17,7 +17,7 @@ import scipy.io
 
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
-from hydro_rig.recordings.findings import Finding
+from hydro_rig.recordings.findings import Finding, Findings
 from hydro_rig.recordings.stamps import time_stamps, with_whole_stamps
 from hydro_rig.recordings.text_tables import text_table
 
@@ -107,7 +107,7 @@ def library_errors(path: Path) -> Iterator[None]:
         raise ConfigurationError(f"{path}: is not a readable {path.suffix.lower() or 'text'} file: {reason}") from None
 
 
-def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], list[Finding]]:
+def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], Findings]:
     """The chosen columns by signal, all with the same rows; ``places``: their index, ``time`` and ``command`` included.
 
     Columns with their own time stamps that are as dense as those of the command are interpolated linearly at these,
@@ -116,7 +116,7 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
     """
     base = columns.stamps[places["command"]]
     cells = {signal: columns.cells[place] for signal, place in places.items()}
-    findings: list[Finding] = []
+    findings: Findings = []
     if base is None:
         return cells, findings
     if places["time"] == 0:  # that of the channel with the most stamps

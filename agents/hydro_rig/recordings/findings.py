@@ -44,6 +44,9 @@ class Finding(NamedTuple):
         return ", ".join(parts)
 
 
+Findings = list[Finding]
+
+
 def lines_of(findings: Iterable[Finding]) -> list[str]:
     """The findings in a line each."""
     return [finding.line() for finding in findings]

@@ -26,7 +26,7 @@ from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.estimation.estimate import two_pressures
 from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_set_point
 from hydro_rig.recordings.files import interpolated
-from hydro_rig.recordings.findings import Finding, Weight, finding_of
+from hydro_rig.recordings.findings import Finding, Findings, Weight, finding_of
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, on_grid, sampled
 
@@ -60,10 +60,10 @@ class Checked(NamedTuple):
     """A recording at the control period, and all findings about it."""
 
     samples: Sampled  # invalid readings are NaN
-    findings: list[Finding]
+    findings: Findings
 
     @property
-    def severe(self) -> list[Finding]:
+    def severe(self) -> Findings:
         """Findings that rule out a verdict."""
         return [finding for finding in self.findings if finding.weight is Weight.SEVERE]
 
@@ -100,7 +100,7 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool = F
     return Checked(samples, findings)
 
 
-def _within_full_scale(samples: Sampled) -> tuple[Sampled, list[Finding]]:
+def _within_full_scale(samples: Sampled) -> tuple[Sampled, Findings]:
     """The samples with commands of up to OVERRANGE of full scale taken as full scale; a valve opens no farther."""
     size = np.abs(samples.signals[COMMAND])
     beyond = (size > 1.0) & (size <= OVERRANGE)
@@ -137,7 +137,7 @@ def _stretch_with_motion(samples: Sampled) -> Floats | None:
     return signals[:, best : best + MOST_SAMPLES]
 
 
-def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
+def check_wiring(samples: Sampled, config: TaskConfig) -> Findings:
     """Find wrong signs, exchanged chambers and wrong units; needs motion."""
     signals = _stretch_with_motion(_without_gaps(samples, config))
     if signals is None:
@@ -252,7 +252,7 @@ def _plausible(slope: float) -> bool:
     return SLOPES[0] <= slope <= SLOPES[1]
 
 
-def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
+def _spool_and_command(signals: Floats, config: TaskConfig) -> Findings:
     """Check sign and scale of the command against the spool."""
     if not np.ptp(signals[COMMAND]) >= 0.02 or signals[COMMAND].std() < 2.0 * config.sensors.spool_position.noise:
         return []  # the command changes too little for the spool to follow it

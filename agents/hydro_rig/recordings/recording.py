@@ -12,7 +12,7 @@ from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, numbers_of, read_columns, together
-from hydro_rig.recordings.findings import MOST_SPIKES, Finding, missing_weight, severe_if
+from hydro_rig.recordings.findings import MOST_SPIKES, Finding, Findings, missing_weight, severe_if
 from hydro_rig.recordings.stamps import EXCEL_BEGIN, equidistant, time_stamps
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
@@ -28,7 +28,7 @@ class Recording(NamedTuple):
     time: Floats  # (n,), s, from the first row
     signals: Floats  # (5, n), SI, in the order of MEASURED; the command acts at the time of the row
     units: dict[str, str]  # by signal, from the file or the map
-    findings: list[Finding]
+    findings: Findings
     auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (n,), SI
     begin: float = 0.0  # s, stamp of the first row in the file; of dates and times since 1970
     differential: bool = False  # pressure a is pressure a minus b
@@ -109,7 +109,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
 
 def _values_of(
     file: Columns, columns: ColumnMap, source: str
-) -> tuple[dict[str, Floats], dict[str, str], float, list[Finding]]:
+) -> tuple[dict[str, Floats], dict[str, str], float, Findings]:
     """Values in SI by signal, (n,) each, their units in the file, time of the first date and time, and findings."""
     chosen = columns.columns()
     places = {signal: place_of(column, signal, file.headings, source) for signal, column in chosen.items()}
@@ -140,7 +140,7 @@ def _values_of(
     return values, units, begin, findings
 
 
-def _time_of(time: Floats, given: bool | float, source: str, findings: list[Finding]) -> Floats:
+def _time_of(time: Floats, given: bool | float, source: str, findings: Findings) -> Floats:
     """The stamps (n,), s; those of rows that the map calls equidistant are steady."""
     known = np.isfinite(time)
     if known.sum() < FEWEST_ROWS and isinstance(given, bool):
@@ -162,7 +162,7 @@ def _time_of(time: Floats, given: bool | float, source: str, findings: list[Find
     return np.asarray((time[known][0] if known.any() else 0.0) + distance * np.arange(len(time)), np.float64)
 
 
-def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:
+def _numbers(cells: pd.Series, signal: str, first_line: int, findings: Findings) -> Floats:
     """Values of a column; text becomes NaN and a finding."""
     values = numbers_of(cells)
     values[np.abs(values) > LARGEST_NUMBER] = np.nan

@@ -14,7 +14,7 @@ from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import COMMAND
 from hydro_env.types import Floats, Indices, Mask
-from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
+from hydro_rig.recordings.findings import Finding, Findings, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.stamps import SHORTEST_DISTANCE, SLOWEST, other_sampling, row_distance, whole_fraction
 
@@ -44,7 +44,7 @@ class Sampled(NamedTuple):
     signals: Floats  # (5, T), SI, in the order of SIGNALS: column k holds u_{k-1}
     period: float  # s
     units: dict[str, str]  # by signal, as in the file
-    findings: list[Finding]
+    findings: Findings
     auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (T,), SI
     own_clock: bool = False  # whether the samples may lie between those of the controller
 
@@ -63,14 +63,14 @@ def sampled(recording: Recording, config: TaskConfig, own_grid: bool = False) ->
     period still acts there. After a severe finding the samples are empty. ``own_grid``: also of a log that fits the
     control period.
     """
-    findings: list[Finding] = []
+    findings: Findings = []
     place, time, values, period, own_clock = _grid_of(recording, config, own_grid, findings)
     signals, others = np.split(values, [len(recording.signals)])
     auxiliary = dict(zip(recording.auxiliary, others, strict=True))
     return Sampled(place, time, signals, period, recording.units, findings, auxiliary, own_clock)
 
 
-def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings: list[Finding]) -> _Grid:
+def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings: Findings) -> _Grid:
     """The samples of the rows; none after a severe finding."""
     time, rows = recording.time, np.vstack([recording.signals, *recording.auxiliary.values()])
     period = config.control_period
@@ -112,7 +112,7 @@ def _severe(findings: Sequence[Finding]) -> bool:
     return any(finding.weight is Weight.SEVERE for finding in findings)
 
 
-def _in_order(time: Floats, rows: Floats, findings: list[Finding]) -> tuple[Floats, Floats]:
+def _in_order(time: Floats, rows: Floats, findings: Findings) -> tuple[Floats, Floats]:
     """Stamps (n,) and rows (channels, n), of duplicate stamps the first; severe: stamps that run backward, or one."""
     steps = np.diff(time, prepend=-np.inf)
     if (back := steps < 0.0).any():
@@ -127,7 +127,7 @@ def _in_order(time: Floats, rows: Floats, findings: list[Finding]) -> tuple[Floa
     return time, rows
 
 
-def _steady(time: Floats, distance: float, findings: list[Finding]) -> tuple[Floats, Indices]:
+def _steady(time: Floats, distance: float, findings: Findings) -> tuple[Floats, Indices]:
     """Stamps (n,) of equidistant rows in place of stamps that jitter, and the rows that are kept.
 
     Short pieces between gaps are left out. Severe: the rows are not equidistant.
@@ -151,7 +151,7 @@ def _steady(time: Floats, distance: float, findings: list[Finding]) -> tuple[Flo
     return steady[chosen], chosen
 
 
-def _own_grid(time: Floats, values: Floats, place: Indices, distance: float, findings: list[Finding]) -> _Grid:
+def _own_grid(time: Floats, values: Floats, place: Indices, distance: float, findings: Findings) -> _Grid:
     """The samples of a log on its own grid of about OWN_PERIOD.
 
     From a faster log, readings are medians of the rows around each sample, which leave out spikes. As many commands as
@@ -182,7 +182,7 @@ def on_grid(config: TaskConfig, period: float) -> TaskConfig:
     return config.model_copy(update={"control_period": period, "command_latency": 0.0, "command_latency_range": None})
 
 
-def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
+def bridged(samples: Sampled) -> tuple[Sampled, Findings]:
     """The samples with up to LONGEST_FILL missing commands in a row filled in, and a finding about them.
 
     Lost rows come back with this command alone; readings stay missing. A command comes from the signals
@@ -266,7 +266,7 @@ def _places(time: Floats, distance: float) -> tuple[Indices, float]:
     return place, float(np.quantile(off, 0.95))
 
 
-def _add_gaps(place: Indices, time: Floats, distance: float, findings: list[Finding]) -> None:
+def _add_gaps(place: Indices, time: Floats, distance: float, findings: Findings) -> None:
     """Append a finding about missing rows; those of a pause cost a window, and those of many gaps every window."""
     missing = np.diff(place, prepend=-1) - 1
     gaps = np.flatnonzero(missing > 0)

@@ -8,7 +8,7 @@ import hashlib
 import json
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
@@ -27,6 +27,7 @@ from hydro_env.errors import reason
 from hydro_env.files import read_json, write_text
 from hydro_env.folders import config_folder
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
+from hydro_env.types import ByName
 from hydro_rig.diagnosis.oil import referred, temperature_of
 from hydro_rig.diagnosis.verdict import NO_LEAK, Kind, Leak, combined
 from hydro_rig.estimation.estimator import EstimatorDetector
@@ -66,7 +67,7 @@ class Look(NamedTuple):
     leak: Leak  # l/min at 100 bar and 40 °C; NaN: this look has no answer
     temperature: float  # of the oil, °C; NaN: unknown
 
-    def fields(self) -> dict[str, Any]:
+    def fields(self) -> ByName:
         """For another program; ``None``: unknown."""
         sizes = {name: finite(size, 4) for name, size in self.leak.positive._asdict().items()}
         return {"state": self.condition.value, "since": self.since, "cause": self.cause, **sizes}
@@ -216,13 +217,13 @@ class AxisWatch:
             self.memory, self.repaired = self._alarm.begin(1), marked
             self._causes.clear()
 
-    def kept(self) -> dict[str, Any]:
+    def kept(self) -> ByName:
         """What a restart needs (JSON)."""
         memory = {name: values.tolist() for name, values in self.memory._asdict().items()}
         own = {"condition": self.condition.value, "since": self.since, "repaired": self.repaired}
         return {**own, "alarm": memory, "task": self._task_digest}
 
-    def restore(self, kept: dict[str, Any]) -> None:
+    def restore(self, kept: ByName) -> None:
         """Take over what :meth:`kept` gave for the same task, and say so."""
         if kept.get("task", self._task_digest) != self._task_digest:
             print(f"hydro: axis '{self.name}' starts anew: the memory is that of another rig or task", file=sys.stderr)
@@ -246,7 +247,7 @@ class FleetWatch:
         self.table = read_table(table_file)
         self.axes: dict[str, AxisWatch] = {}
         self._best: dict[str, Look] = {}  # the narrowest answer since the last row of the table
-        self._kept: dict[str, Any] = {}
+        self._kept: ByName = {}
         if self._memory_file.exists():
             self._kept = read_json(self._memory_file)
 
@@ -266,12 +267,12 @@ class FleetWatch:
         if look is not None:
             self._keep(look, look.condition is not before)
             yield look
-            yield from self.silent(lambda _: row.time)
+            yield from self.silent(row.time)
 
-    def silent(self, now_of: Callable[[AxisWatch], float]) -> Iterator[Look]:
-        """The looks at axes that have fallen silent; ``now_of``: the time now by the clock of an axis, s."""
+    def silent(self, now: float | None = None, waited: float = 0.0) -> Iterator[Look]:
+        """The looks at axes that have fallen silent; ``now``, s: default: ``waited`` after the newest row of each."""
         for axis in self.axes.values():
-            look = axis.silent(now_of(axis))
+            look = axis.silent(axis.newest + waited if now is None else now)
             if look is not None:
                 self._keep(look, changed=True)
                 yield look
@@ -285,8 +286,7 @@ class FleetWatch:
         last, rows, looked = monotonic(), 0, False
         for line in lines:
             if line is None:  # nothing came for a while
-                waited = monotonic() - last
-                yield from self.silent(lambda axis, waited=waited: axis.newest + waited)  # type: ignore[misc]
+                yield from self.silent(waited=monotonic() - last)
                 continue
             last = monotonic()
             try:

@@ -7,12 +7,13 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from time import monotonic, time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from joblib import Parallel, delayed
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.types import ByName
 from hydro_rig.diagnosis.diagnose import diagnosed, read_windows
 from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.diagnosis.verdict import NO_LEAK
@@ -33,7 +34,7 @@ _DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\
 WRITE_EVERY = 5.0  # s; a killed call reads at most the files of so long a time again
 
 
-def row_of_file(path: Path, axis: Axis) -> dict[str, Any]:
+def row_of_file(path: Path, axis: Axis) -> ByName:
     """The row of a file: its first and last stamp (s since 1970), and what :func:`row_of` reads.
 
     Raises:
@@ -54,7 +55,7 @@ def _began(path: Path) -> float:
     return path.stat().st_mtime
 
 
-def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_WINDOWS) -> dict[str, Any]:
+def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_WINDOWS) -> ByName:
     """Verdict, leak at 40 °C and oil temperature of a recording, from its liveliest windows and a measured flow."""
 
     def choose(samples: Sampled) -> Windows:
@@ -89,7 +90,7 @@ class Watched(NamedTuple):
         """Of the most serious state of an axis."""
         return CODES[min((one.states[0] for one in self.trends), key=SERIOUS)]
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> ByName:
         """For another program."""
         axes = [one.facts() for one in self.trends]
         files = {"read": self.read, "known": self.known, "left_out": self.left_out}
@@ -141,7 +142,7 @@ def watch(places: Sequence[Path], table_file: Path, fleet: Fleet, jobs: int = 1)
     return Watched(trends, len(new) - len(errors), len(files) - len(new), left_out)
 
 
-def _row_or_error(file: File, axis: Axis) -> dict[str, Any] | str:
+def _row_or_error(file: File, axis: Axis) -> ByName | str:
     try:
         return row_of_file(file.path, axis)
     except ConfigurationError as error:
