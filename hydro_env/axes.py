@@ -42,7 +42,7 @@ from hydro_env.task.record import (
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES, RESTING_FROM, USER_FAMILY
 from hydro_env.task.settings import padded_draws, settings_of
 from hydro_env.task.signals import POSITION, layout_of, observation_layout
-from hydro_env.types import Array, Floats, Indices, Mask
+from hydro_env.types import Array, Arrays, ByName, Floats, Indices, Mask
 
 AXES_PER_THREAD = 256  # smallest number of axes per thread; with fewer, starting the thread takes longer than its work
 
@@ -61,7 +61,7 @@ class AxesState:
     """
 
     config: TaskConfig
-    arrays: dict[str, Array]
+    arrays: Arrays
     generator: Mapping[str, Any] | None = None
     history: tuple[tuple[float, float], ...] = ()
 
@@ -171,8 +171,7 @@ class Axes:
     def _rare(self, axes: Indices) -> Mask:
         """Which of these axes may begin with a fault, a changing force, or a reference at which they hardly move."""
         family, faults = self.options.fixed.family[axes], self.options.fixed.faults[axes]
-        rare: Mask = (family >= RESTING_FROM) & (family != USER_FAMILY)
-        return rare | ~np.isnan(faults).all(axis=1) | self._is_rare
+        return ((family >= RESTING_FROM) & (family != USER_FAMILY)) | ~np.isnan(faults).all(axis=1) | self._is_rare
 
     def _note_schedules(self) -> None:
         """Note whether leak, faults or force of any axis may change during its episode."""
@@ -236,8 +235,7 @@ class Axes:
 
     def ended(self) -> Mask:
         """True for the axes that have failed or reached the end of their episode, shape (N,)."""
-        ended: Mask = (self.column("failure") != NO_FAILURE) | (self.column("step") >= self.steps())
-        return ended
+        return (self.column("failure") != NO_FAILURE) | (self.column("step") >= self.steps())
 
     def tip_position(self) -> Floats:
         """Position of the second mass, m, (N,); of a rigid load that of the piston."""
@@ -251,7 +249,7 @@ class Axes:
         """Control periods in the present episode of each axis, (N,), or of all axes."""
         return self._task["steps"][self.rigs()] if len(self.tasks) > 1 else float(self.tasks[0].steps)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> ByName:
         views = ("record", "state", "complete_state", "coefficient", "peaks", "reference", "observation", "numbers")
         return {
             **self.__dict__,
@@ -259,7 +257,7 @@ class Axes:
             "_pool": None,
         }  # threads start again when needed
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: ByName) -> None:
         self.__dict__.update(state)
         self._name_parts()
 
@@ -278,14 +276,14 @@ class Axes:
             self._pool.shutdown()
             self._pool = None
 
-    def _rows(self) -> dict[str, Array]:
+    def _rows(self) -> Arrays:
         """Every array that an episode depends on, by name; one row per axis."""
         arrays = {**self.arrays._asdict(), "physical": self.physical, "seeds": self._chances.seeds}
         for name, values in self.options.fixed._asdict().items():
             arrays[f"fixed_{name}"] = values
         return arrays
 
-    def get_state(self) -> dict[str, Array]:
+    def get_state(self) -> Arrays:
         """Every array that an episode depends on, by name, as copies; one row per axis."""
         return {name: values.copy() for name, values in self._rows().items()}
 

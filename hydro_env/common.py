@@ -14,6 +14,7 @@ from hydro_env.arguments import shown
 from hydro_env.axes import Axes, AxesState
 from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.task.configuration import TaskConfig
+from hydro_env.types import Indices
 
 Given = TaskConfig | Mapping[str, Any] | str | Path | None  # what the environments take as a task
 Info = dict[str, Any]  # what the controller must not know, for evaluation
@@ -71,6 +72,12 @@ class AxisEnvironment:
             self.np_random.bit_generator.state = deepcopy(state.generator)
         self._history = list(state.history)
         self._seeded = self._begun = True
+
+    def _begin(self, axes: Indices) -> None:
+        """Begin episodes; if one of them cannot begin, all axes need a reset before the next step."""
+        self._begun = False
+        self._axes.begin(axes)
+        self._begun = True
 
     def _require_begun(self, what: str) -> None:
         if not self._begun:

@@ -199,9 +199,9 @@ def merged(name: str, parameters: str, result: str, **names: Any) -> Any:
     return _generated(name, parameters, [f"return {result}"], **names)
 
 
-def named_tuple(name: str, fields: Iterable[str], module: str) -> Any:
-    """A named tuple with computed fields, which a class statement cannot express."""
-    return namedtuple(name, list(fields), module=module)
+def named_tuple(name: str, fields: Iterable[str] | str, module: str) -> Any:
+    """A named tuple of fields by name, or of a text with their names; a class statement cannot express either."""
+    return namedtuple(name, fields, module=module)
 
 
 def tuple_reader(kind: Any, first: int = 0, lanes: int = 0) -> Any:

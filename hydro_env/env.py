@@ -16,7 +16,7 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
-from hydro_env.types import Singles
+from hydro_env.types import ByName, Singles
 from hydro_env.units import resistance_from_flow
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
       sensor would hold the axis (``start="actual"`` restores the old start); the changelog lists all changes.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES) if find_spec("pygame") else [], "render_fps": 50}
+    metadata: ByName = {"render_modes": list(RENDER_MODES) if find_spec("pygame") else [], "render_fps": 50}
 
     def __init__(
         self, config: Given = None, render_mode: str | None = None, info: bool | str = True, **overrides: Any
@@ -173,7 +173,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.rigs[0].control_period)}
         self._task = self.rigs[0]  # of the present episode
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+    def reset(self, *, seed: int | None = None, options: ByName | None = None) -> tuple[Observation, Info]:
         """Begin an episode; see the class for ``options``.
 
         Raises:
@@ -184,9 +184,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
         if seed is not None or not self._seeded:
             self._axes.seed(0, self.np_random)
             self._seeded = True
-        self._begun = False  # remains false if the episode cannot begin
-        self._axes.begin(_FIRST)
-        self._begun = True
+        self._begin(_FIRST)
         self._task = self.rigs[int(self._axes.numbers[0, _RIG])]
         self._history = []
         self._record_frame()
@@ -223,7 +221,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
         super().set_state(state)
         self._task = self.rigs[int(self._axes.numbers[0, _RIG])]
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> ByName:
         """Content of a copy or a pickle: everything except the window or canvas, which the copy creates again."""
         return {**self.__dict__, "_renderer": None}
 
@@ -283,12 +281,12 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
             gym.logger.warn("render() draws nothing without a render_mode; give one to gym.make")
             return None
         self._require_begun("render")
-        from hydro_env.rendering import AxisRenderer, View
+        from hydro_env.rendering import AxisRenderer
 
         if self._renderer is None:
             self._renderer = AxisRenderer(self.render_mode)
         frame_time = self._periods_per_frame() * self._task.control_period
-        return self._renderer.draw(View.of(self._axes, self._history), frame_time)
+        return self._renderer.draw(self._axes, self._history, frame_time)
 
     def close(self) -> None:
         """Close the window, if there is one; may be called more than once."""

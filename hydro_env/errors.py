@@ -25,10 +25,12 @@ class InvalidStateError(HydroError, ArithmeticError):
 
 
 @contextmanager
-def at(place: str) -> Iterator[None]:
-    """A :class:`ConfigurationError` of the block begins with the place of its cause."""
+def at(place: object) -> Iterator[None]:
+    """An error of the block begins with the place of its cause; one of a file that cannot be used tells why."""
     try:
         yield
+    except OSError as error:
+        raise ConfigurationError(f"{place}: {error.strerror}") from None
     except ConfigurationError as error:
         raise type(error)(f"{place}: {error}") from error
 

@@ -1,7 +1,5 @@
 """Wrong fields of a configuration in words: where, which value, what is allowed, and what was probably meant."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +14,7 @@ Schema = Mapping[str, Any]
 
 
 def described(
-    model: type[BaseModel], error: ValidationError, values: Mapping[str, Any], source: str, within: str = ""
+    model: "type[BaseModel]", error: "ValidationError", values: Mapping[str, Any], source: object, within: str = ""
 ) -> ConfigurationError:
     """The error that names every mistake of a group: one in one line, several in one line each below a heading.
 
@@ -34,8 +32,8 @@ def described(
         where = ".".join(filter(None, [within, *(str(part)[:60] for part in path)]))
         if where and mistake["type"] != "missing":
             where += _shown(given)
-        text = f"{where}: {_message(schema, path, given, mistake)}" if where else _message(schema, path, given, mistake)
-        lines[path] = " ".join(text.split())
+        message = _message(schema, path, given, mistake)
+        lines[path] = " ".join((f"{where}: {message}" if where else message).split())
         if mistake["type"] == "extra_forbidden":
             kind = UnknownKeyError
     if len(lines) == 1:

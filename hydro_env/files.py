@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, model_validator
 
-from hydro_env.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError, at
 from hydro_env.field_mistakes import described
+from hydro_env.types import ByName
 from hydro_env.units import in_si
 
 LARGEST_FILE = 100_000  # largest size of a configuration file in bytes; the largest of this project has two thousand
@@ -46,6 +47,10 @@ class Group(BaseModel, metaclass=_Checked):
     def __hash__(self) -> int:
         return hash(repr(self))  # a group may hold mappings
 
+    def to_yaml(self, path: str | Path) -> None:
+        """Write all fields as YAML; reading it gives an equal object."""
+        write_yaml(path, self.model_dump(mode="json"))
+
     def __setattr__(self, name: str, value: Any) -> None:
         raise ConfigurationError(f"{type(self).__name__}.{name}: is frozen; make a copy with another value")
 
@@ -65,7 +70,7 @@ ModelType = TypeVar("ModelType", bound=BaseModel)
 whole_group = model_validator(mode="after")  # marks a check of a group whose fields are valid
 
 
-def validate(model: type[ModelType], values: Any, source: str, within: str = "") -> ModelType:
+def validate(model: type[ModelType], values: Any, source: object, within: str = "") -> ModelType:
     """Build ``model`` from ``values``; the error names ``source``, the place ``within`` it, and every mistake.
 
     Raises:
@@ -92,14 +97,12 @@ def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
     Raises:
         ConfigurationError: the file is missing, unreadable, too large, or in another encoding.
     """
+    with at(f"{path}: cannot be read"), open(path, "rb") as file:
+        content = file.read(largest + 1)
+    if len(content) > largest:
+        raise ConfigurationError(f"{path}: is larger than {largest / 1e6:g} MB")
     try:
-        with open(path, "rb") as file:
-            content = file.read(largest + 1)
-        if len(content) > largest:
-            raise ConfigurationError(f"{path}: is larger than {largest / 1e6:g} MB")
         return content.decode(encoding_of(content))
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ConfigurationError(f"{path}: cannot be read: not a text in UTF-8") from None
 
@@ -150,7 +153,7 @@ def _problem(problem: str, at: Any) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=at.start_mark)
 
 
-def read_yaml(path: str | Path) -> dict[str, Any]:
+def read_yaml(path: str | Path) -> ByName:
     """Read a YAML mapping.
 
     Raises:
@@ -172,7 +175,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     return _mapping(values, path)
 
 
-def read_json(path: str | Path) -> dict[str, Any]:
+def read_json(path: str | Path) -> ByName:
     """Read a JSON object.
 
     Raises:
@@ -180,7 +183,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
             or nests too deeply.
     """
 
-    def unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    def unrepeated(pairs: list[tuple[str, Any]]) -> ByName:
         values = dict(pairs)
         if len(values) < len(pairs):
             raise ValueError("a key stands twice")
@@ -196,7 +199,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
     return _mapping(values, path)
 
 
-def _mapping(values: Any, path: str | Path) -> dict[str, Any]:
+def _mapping(values: Any, path: str | Path) -> ByName:
     if not isinstance(values, dict):
         raise ConfigurationError(f"{path}: must be a mapping of settings, not {type(values).__name__}")
     for key in values:
@@ -223,12 +226,10 @@ def write_whole(path: str | Path, content: bytes) -> None:
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
-    try:
+    with at(f"{path}: cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             temporary.write_bytes(content)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from None

@@ -2,7 +2,7 @@
 
 import difflib
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from pydantic import AfterValidator
@@ -33,6 +33,17 @@ def unknown(given: object, known: Iterable[str], what: str = "") -> str:
     return f"unknown{name}{did_you_mean(given, names) or ';'} known: {', '.join(names)}"
 
 
+def refuse_unknown(place: str, names: Iterable[object], known: Collection[str], what: str) -> None:
+    """Check that names are known.
+
+    Raises:
+        UnknownKeyError: one is not; the message begins with the place.
+    """
+    for name in names:
+        if name not in known:
+            raise UnknownKeyError(f"{place}: {unknown(name, known, what)}")
+
+
 def one_of(given: object, known: Iterable[str]) -> str:
     """``must be one of drive, spool, ideal; did you mean spool?``: the same for one of few choices."""
     names = list(known)
@@ -60,7 +71,7 @@ def kept(errors: list[ConfigurationError]) -> Iterator[None]:
         errors.append(error)
 
 
-def refuse(errors: Sequence[ConfigurationError], source: str) -> None:
+def refuse(errors: Sequence[ConfigurationError], source: object) -> None:
     """Raise the errors that were kept, as one; do nothing if there are none.
 
     Raises:

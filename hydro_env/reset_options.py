@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from hydro_env.arguments import numbers, shown
-from hydro_env.errors import ConfigurationError, UnknownKeyError, at
-from hydro_env.mistakes import did_you_mean, one_of, unknown
+from hydro_env.errors import ConfigurationError, at
+from hydro_env.mistakes import did_you_mean, one_of, refuse_unknown
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters, from_vector, to_vector
 from hydro_env.task.configuration import LEAKAGE_LIMIT, TaskConfig
 from hydro_env.task.faults import FAULTS, fault_limits
@@ -15,13 +15,13 @@ from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.record import OPTION_NAMES, Fixed
 from hydro_env.task.reference_signals import FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
 from hydro_env.task.settings import draws_of
-from hydro_env.types import Array, Floats, Indices
+from hydro_env.types import Array, Arrays, ByName, Floats, Indices
 
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
 """Parameters that must exceed another one (rod, Coulomb force, precharge): their lowest draw is critical."""
 
 
-def options_given(options: Any) -> dict[str, Any]:
+def options_given(options: Any) -> ByName:
     """A copy of the options of a reset as a dictionary.
 
     Raises:
@@ -31,9 +31,7 @@ def options_given(options: Any) -> dict[str, Any]:
         return {}
     if not isinstance(options, Mapping):
         raise ConfigurationError(f"reset options: {shown(options)}: must be a mapping, of {', '.join(OPTION_NAMES)}")
-    for name in options:
-        if name not in OPTION_NAMES:
-            raise UnknownKeyError(f"reset options: {unknown(name, OPTION_NAMES, 'option')}")
+    refuse_unknown("reset options", options, OPTION_NAMES, "option")
     return dict(options)
 
 
@@ -141,9 +139,8 @@ class ResetOptions:
         if not isinstance(given, Mapping):
             raise _wrong('faults must be a mapping, {"valve_null_shift": 0.01}')
         magnitudes = np.full((len(axes), len(FAULTS)), np.nan)
+        refuse_unknown("reset options", given, FAULTS, "fault")
         for name, value in given.items():
-            if name not in FAULTS:
-                raise UnknownKeyError(f"reset options: {unknown(name, FAULTS, 'fault')}")
             magnitudes[:, FAULTS.index(name)] = self._per_axis(value, f"faults.{name}", axes, *fault_limits(name))
         return magnitudes
 
@@ -192,7 +189,7 @@ class ResetOptions:
                     "mass; give them in the rig"
                 )
 
-    def _reference(self, given: Any, axes: Indices, half: float) -> dict[str, Array]:
+    def _reference(self, given: Any, axes: Indices, half: float) -> Arrays:
         """Family of each axis, and the rows of references that the user gives as numbers."""
         array = numbers(given)
         if array is None:

@@ -1,4 +1,4 @@
-"""Types of arrays that every room uses; the docstring of a function or field gives shape and unit."""
+"""Types that every room uses; the docstring of a function or field gives shape and unit."""
 
 from typing import Any
 
@@ -10,4 +10,5 @@ Singles = NDArray[np.float32]  # in single precision, as observations and networ
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Array = NDArray[Any]
+Arrays = dict[str, Array]  # by name
 ByName = dict[str, Any]  # values by name

@@ -42,11 +42,11 @@ def unit_factor(text: str, known: Mapping[str, float]) -> float:
     """SI units per unit of a text, by the ``known`` ones; it may contain ``3`` or ``^3`` for ``³``, and ``µ`` or ``μ``.
 
     Raises:
-        ValueError: the unit is unknown.
+        ConfigurationError: the unit is unknown.
     """
     names = {_plain(name): factor for name, factor in known.items()}
     if _plain(text) not in names:
-        raise ValueError(f"unit '{text.strip()[:40]}': {one_of(text.strip(), known)}")
+        raise ConfigurationError(f"unit '{text.strip()[:40]}': {one_of(text.strip(), known)}")
     return names[_plain(text)]
 
 
@@ -83,7 +83,7 @@ def in_si(value: Any, unit: str) -> Any:
     A unit of the result that is not in :data:`UNITS` accepts only its own name.
 
     Raises:
-        ValueError: the text names a unit of another quantity.
+        ConfigurationError: the text names a unit of another quantity.
     """
     if isinstance(value, list | tuple):
         return [in_si(entry, unit) for entry in value]

@@ -18,7 +18,7 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES, NO_FAILURE
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
-from hydro_env.types import Array, Floats, Indices, Mask, Singles
+from hydro_env.types import Array, ByName, Floats, Indices, Mask, Singles
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 MOST_AXES = 1_000_000
@@ -52,7 +52,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         ((3, 13), [0, 2, 3])
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 50, "autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata: ByName = {"render_modes": [], "render_fps": 50, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
         self,
@@ -122,12 +122,6 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
                 f"reset options: reset_mask must be a boolean array of shape ({self.num_envs},) with at least one True"
             )
         return np.flatnonzero(chosen)
-
-    def _begin(self, axes: Indices) -> None:
-        """Begin episodes; if one of them cannot begin, all axes need a reset before the next step."""
-        self._begun = False
-        self._axes.begin(axes)
-        self._begun = True
 
     def _seed(self, seed: int | Sequence[int | None] | None, axes: Indices) -> None:
         if isinstance(seed, list | tuple | np.ndarray) and np.shape(np.asarray(seed, dtype=object))[:1]:

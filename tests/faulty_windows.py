@@ -17,5 +17,5 @@ def made(fault, leak, samples=200):
     """Two windows of the same two plants with a fault and a leak in l/min."""
     conditions = {"c": {"duration": samples * 0.005, "faults": FAULTS[fault]}}
     protocol = LeakProtocol(detectors={"D": {"kind": "head"}}, base="c", conditions=conditions)
-    signals, _ = simulated_windows(protocol.task_in("c"), "PID", protocol.cases_in("c", leak, 2), samples)
+    signals, _ = simulated_windows(protocol.tasks["c"], "PID", protocol.cases_in("c", leak, 2), samples)
     return Windows.of(signals)

@@ -13,8 +13,7 @@ from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 def chamber_volumes(parameters: PlantParameters, position: float = 0.0) -> tuple[float, float]:
     """Oil in both chambers with their dead volumes at a position (m), m³: V_a0 + A_a x and V_b0 − A_b x (8), (9)."""
-    volume_a, volume_b = chambers.chamber_volumes(float(position), plant_coefficients(parameters))
-    return volume_a, volume_b
+    return chambers.chamber_volumes(float(position), plant_coefficients(parameters))
 
 
 def closed_port_stiffness(parameters: PlantParameters, position: float = 0.0) -> float:
@@ -27,7 +26,7 @@ def closed_port_stiffness(parameters: PlantParameters, position: float = 0.0) ->
     volume_a, volume_b = chamber_volumes(parameters, position)
     softness_a = volume_a / c.bulk_modulus + c.wall_compliance_a
     softness_b = volume_b / c.bulk_modulus + c.wall_compliance_b
-    return float(c.area_a**2 / softness_a + c.area_b**2 / softness_b + c.spring_stiffness)
+    return c.area_a**2 / softness_a + c.area_b**2 / softness_b + c.spring_stiffness
 
 
 def softest_position(parameters: PlantParameters) -> float:
@@ -41,13 +40,13 @@ def softest_position(parameters: PlantParameters) -> float:
     volume_a = c.volume_a0 + c.bulk_modulus * c.wall_compliance_a
     volume_b = c.volume_b0 + c.bulk_modulus * c.wall_compliance_b
     position = (ratio * volume_b - volume_a) / (c.area_a + ratio * c.area_b)
-    return float(min(max(position, -c.end_stop_position), c.end_stop_position))
+    return min(max(position, -c.end_stop_position), c.end_stop_position)
 
 
 def leak_at_test_pressure(parameters: PlantParameters) -> float:
     """Internal leakage in l/min at 100 bar across the piston: seal and throttle together."""
     c = plant_coefficients(parameters)
-    return float(internal_leakage(LEAKAGE_TEST_PRESSURE, 0.0, c)) / LITRE_PER_MINUTE
+    return internal_leakage(LEAKAGE_TEST_PRESSURE, 0.0, c) / LITRE_PER_MINUTE
 
 
 class Limits(NamedTuple):
@@ -61,7 +60,7 @@ def full_pressure_forces(parameters: PlantParameters) -> Limits:
     """Forces of the piston with one chamber at supply and the other at tank pressure, in N."""
     c = plant_coefficients(parameters)
     supply, tank = c.relief_pressure, c.tank_pressure
-    return Limits(float(piston_force(supply, tank, c)), -float(piston_force(tank, supply, c)))
+    return Limits(piston_force(supply, tank, c), -piston_force(tank, supply, c))
 
 
 def force_limits(parameters: PlantParameters) -> Limits:

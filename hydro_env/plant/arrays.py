@@ -42,8 +42,7 @@ def plant_coefficients(parameters: PlantParameters) -> Any:
 
 def coefficient_array(parameters: PlantParameters) -> Floats:
     """The coefficients of the right-hand side, shape (N_COEFFICIENTS,)."""
-    array: Floats = _coefficients_of(to_vector(parameters))
-    return array
+    return _coefficients_of(to_vector(parameters))
 
 
 def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dict[str, float], float]:

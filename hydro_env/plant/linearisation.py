@@ -115,7 +115,7 @@ class Linearisation:
         for number in np.flatnonzero(values.imag > 1e-3 * np.abs(values).max()):
             value = complex(values[number])
             share = np.abs(right[:, number] * left[number])
-            found.append(Mode(abs(value), -value.real / abs(value), value, names[int(np.argmax(share))]))
+            found.append(Mode(abs(value), -value.real / abs(value), value, names[np.argmax(share)]))
         return sorted(found)
 
     @property

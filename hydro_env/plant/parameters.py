@@ -5,20 +5,18 @@ The defaults are the rig of Table 1 of Kovari (2015). Each field gives the origi
 this class; these are the ones that the environment randomises). SI units, gauge pressures.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from enum import StrEnum
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast, get_args, get_origin
 
 import numpy as np
 from pydantic import ConfigDict
 
 from hydro_env.compiling import named_tuple
 from hydro_env.errors import ConfigurationError
-from hydro_env.files import Group, read_yaml, validate, write_yaml
-from hydro_env.mistakes import unknown
+from hydro_env.files import Group, read_yaml, validate
+from hydro_env.mistakes import refuse_unknown
 from hydro_env.plant.parts.chambers import Cylinder, Fluid
 from hydro_env.plant.parts.friction import Friction
 from hydro_env.plant.parts.leakage import Leakage
@@ -27,7 +25,7 @@ from hydro_env.plant.parts.load import Load
 from hydro_env.plant.parts.supply import Supply
 from hydro_env.plant.parts.valve import SHARP, Valve
 from hydro_env.plant.states import Structure
-from hydro_env.types import Floats
+from hydro_env.types import ByName, Floats
 
 OF_THE_TASK = ("randomisation", "sensors")  # groups in the file of a rig that belong to the task
 
@@ -64,14 +62,14 @@ class PlantParameters(Group):
         return Structure(self.lines.have_waves, self.load.tip_share > 0.0, self.valve.underlap < SHARP)
 
     @property
-    def rigid(self) -> PlantParameters:
+    def rigid(self) -> "PlantParameters":
         """The same axis as nameplates tell it: all of its mass at the rod, its lines as volumes."""
         if not (self.lines.have_waves or self.load.tip_share):
             return self
         return self.replace(lines={"length_a": 0.0, "length_b": 0.0}, load={"tip_share": 0.0})
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any], source: str = "plant parameters") -> PlantParameters:
+    def from_dict(cls, values: Mapping[str, Any], source: object = "plant parameters") -> "PlantParameters":
         """Build from nested groups; absent fields keep their default.
 
         Raises:
@@ -80,7 +78,7 @@ class PlantParameters(Group):
         return validate(cls, values, source)
 
     @classmethod
-    def from_yaml(cls, path: str | Path) -> PlantParameters:
+    def from_yaml(cls, path: str | Path) -> "PlantParameters":
         """Read a YAML file with the same groups and fields; see ``configs/rigs``.
 
         The file may also hold ``randomisation`` and ``sensors``, which belong to the task (:mod:`hydro_env.task.rig`).
@@ -89,29 +87,24 @@ class PlantParameters(Group):
             ConfigurationError: unreadable file, unknown key, or a value outside its bounds.
         """
         values = {key: value for key, value in read_yaml(path).items() if key not in OF_THE_TASK}
-        return cls.from_dict(values, source=str(path))
+        return cls.from_dict(values, path)
 
-    def to_yaml(self, path: str | Path) -> None:
-        """Write all groups and fields as YAML; ``from_yaml`` gives back an equal object."""
-        write_yaml(path, self.model_dump(mode="json"))
-
-    def replace(self, **groups: Mapping[str, Any]) -> PlantParameters:
+    def replace(self, **groups: Mapping[str, Any]) -> "PlantParameters":
         """Copy with some fields changed: ``parameters.replace(load={"mass": 80.0})``.
 
         Raises:
             ConfigurationError: unknown group or field, or a value outside its bounds.
         """
         values = self.model_dump()
+        refuse_unknown("plant parameters", groups, values, "group")
         for group, fields in groups.items():
-            if group not in values:
-                raise ConfigurationError(f"plant parameters: {unknown(group, values, 'group')}")
             if not isinstance(fields, Mapping):
                 raise ConfigurationError(f"plant parameters: {group} = {fields!r}: must be a mapping of fields")
             values[group].update(fields)
         return self.from_dict(values)
 
 
-def _fields() -> dict[str, Any]:
+def _fields() -> ByName:
     return {
         f"{group}.{field}": inner
         for group, info in PlantParameters.model_fields.items()
@@ -127,9 +120,7 @@ PARAMETER_UNITS: dict[str, str] = {
 """Unit of each parameter."""
 
 MODEL_CODES: dict[str, tuple[str, ...]] = {
-    path: tuple(str(model) for model in info.annotation)
-    for path, info in _fields().items()
-    if isinstance(info.annotation, type) and issubclass(info.annotation, StrEnum)
+    path: get_args(info.annotation) for path, info in _fields().items() if get_origin(info.annotation) is Literal
 }
 """Choices of each field that names a model; a parameter vector holds the index of the choice."""
 
@@ -149,15 +140,14 @@ def to_vector(parameters: PlantParameters) -> Floats:
     """All parameters as one vector of ``len(PARAMETER_PATHS)`` numbers, for compiled code."""
     values = []
     for path in PARAMETER_PATHS:
-        group, field = path.split(".")
-        value = getattr(getattr(parameters, group), field)
+        value = attrgetter(path)(parameters)
         values.append(MODEL_CODES[path].index(value) if path in MODEL_CODES else value)
     return np.array(values, dtype=float)
 
 
 def from_vector(vector: Floats) -> PlantParameters:
     """The inverse of :func:`to_vector`; validates."""
-    values: dict[str, dict[str, Any]] = {}
+    values: dict[str, ByName] = {}
     for path, value in zip(PARAMETER_PATHS, vector.tolist(), strict=True):
         group, field = path.split(".")
         values.setdefault(group, {})[field] = MODEL_CODES[path][int(value)] if path in MODEL_CODES else value

@@ -99,7 +99,7 @@ class _Plant:
 
     def free_rate(self, y: Floats, voltage: float) -> Floats:
         """The derivative without limits."""
-        rate: Floats = self.derivative(y, self.free, voltage)
+        rate = self.derivative(y, self.free, voltage)
         if abs(y[_SPOOL]) >= 1.0:
             rate[_SPOOL] = y[_SPOOL_VELOCITY]
             rate[_SPOOL_VELOCITY] = spool_pull(self.kind(*y), self.limits)
@@ -140,19 +140,19 @@ class _Plant:
 
         def slew(_: float, y: Floats) -> float:
             if held.slew:
-                return float(held.slew * self.free_rate(y, voltage)[_SPOOL_VELOCITY] / c.spool_stiffness)
-            return float(1.0 + c.ideal_spool - abs(y[_SPOOL_VELOCITY]) / c.slew_limit)
+                return held.slew * self.free_rate(y, voltage)[_SPOOL_VELOCITY] / c.spool_stiffness
+            return 1.0 + c.ideal_spool - abs(y[_SPOOL_VELOCITY]) / c.slew_limit
 
         def stroke(_: float, y: Floats) -> float:
             if held.stroke:
-                return float(held.stroke * y[_SPOOL_VELOCITY] / c.slew_limit)
-            return float(1.0 + c.ideal_spool - abs(y[_SPOOL]))
+                return held.stroke * y[_SPOOL_VELOCITY] / c.slew_limit
+            return 1.0 + c.ideal_spool - abs(y[_SPOOL])
 
         def vapour(row: int, holds: int) -> Any:
             def distance(_: float, y: Floats) -> float:
                 if holds:
-                    return float(-self.free_rate(y, voltage)[row] / c.bulk_modulus)
-                return float((y[row] - VAPOUR_PRESSURE) / c.relief_pressure)
+                    return -self.free_rate(y, voltage)[row] / c.bulk_modulus
+                return (y[row] - VAPOUR_PRESSURE) / c.relief_pressure
 
             return distance
 

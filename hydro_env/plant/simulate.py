@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hydro_env.errors import HydroError, InvalidStateError
-from hydro_env.mistakes import unknown
+from hydro_env.mistakes import refuse_unknown
 from hydro_env.plant.arrays import coefficient_array, equilibrium, functions_of, plant_coefficients
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.kernel import (
@@ -74,8 +74,7 @@ class Trajectory:
     @property
     def state_names(self) -> tuple[str, ...]:
         """The states of this axis; lines with waves and a second mass have their own."""
-        names: tuple[str, ...] = state_kind(self.parameters.structure)._fields
-        return names
+        return state_kind(self.parameters.structure)._fields
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -92,8 +91,7 @@ class Trajectory:
     def __getitem__(self, name: str) -> Floats:
         if name not in self.names:
             raise KeyError(f"no quantity '{name}'; there are: {', '.join(self.names)}")
-        values: Floats = getattr(self, name)
-        return values
+        return getattr(self, name)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -155,10 +153,10 @@ def simulate(
         ['24.9 mm', '24.2 mm']
     """
     inputs = _checked_input(voltage)
-    sample_time = float(_positive("sample_time", sample_time, 1e6))
+    sample_time = _positive("sample_time", sample_time, 1e6)
     accuracy = Accuracy(
-        maximum_step=float(_positive("maximum_step", maximum_step, 1e6)),
-        tolerance=float(_positive("tolerance", tolerance, math.inf)),
+        maximum_step=_positive("maximum_step", maximum_step, 1e6),
+        tolerance=_positive("tolerance", tolerance, math.inf),
         most_steps=MOST_STEPS_PER_PERIOD * max(sample_time / LONGEST_PERIOD, 1.0),
     )
     start, structure = _checked_start(parameters, initial_state), parameters.structure
@@ -168,8 +166,8 @@ def simulate(
     elif method == "radau":
         from hydro_env.plant.reference import reference_states  # SciPy's solvers are imported at first use
 
-        relative_tolerance = _positive("relative_tolerance", relative_tolerance, 1.0)
-        states = reference_states(start, coefficients, inputs, sample_time, relative_tolerance, structure)
+        relative = _positive("relative_tolerance", relative_tolerance, 1.0)
+        states = reference_states(start, coefficients, inputs, sample_time, relative, structure)
     else:
         raise HydroError(f"method = {method!r}: must be 'fast' or 'radau'")
     time = sample_time * np.arange(len(inputs) + 1, dtype=float)
@@ -211,15 +209,14 @@ def _checked_input(voltage: ArrayLike) -> Floats:
 def _positive(name: str, value: float, most: float) -> float:
     if not 0.0 < value <= most:
         raise HydroError(f"{name} = {value!r}: must be positive, at most {most:g}")
-    return value
+    return float(value)
 
 
 def _checked_start(parameters: PlantParameters, initial_state: Mapping[str, float] | None) -> Floats:
     given = dict(initial_state or {})
     names = state_kind(parameters.structure)._fields
+    refuse_unknown("initial_state", given, names, "state")
     for name, value in given.items():
-        if name not in names:
-            raise HydroError(f"initial_state: {unknown(name, names, 'state')}")
         if not math.isfinite(value):
             raise HydroError(f"initial_state: {name} = {value}: must be a finite number")
     if len(given) < len(names):

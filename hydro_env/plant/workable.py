@@ -10,7 +10,6 @@ from hydro_env.plant.arrays import coefficient_array, equilibrium, functions_of
 from hydro_env.plant.kernel import STABLE_PRODUCT
 from hydro_env.plant.linearisation import fastest_motion
 from hydro_env.plant.parameters import PARAMETER_UNITS, PlantParameters
-from hydro_env.plant.parts.friction import FrictionModel
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL
 from hydro_env.plant.simulate import DERIVED_NAMES, valid_ranges
 from hydro_env.plant.states import STATE_NAMES, state_kind
@@ -48,7 +47,7 @@ def fastest_rate(parameters: PlantParameters) -> tuple[float, str]:
     at a higher speed: its rate is that at the speed without load.
     """
     supply, stop = parameters.supply, 0.5 * parameters.cylinder.stroke + 1e-4
-    lugre = parameters.friction.model == FrictionModel.LUGRE
+    lugre = parameters.friction.model == "lugre"
     kind = state_kind(parameters.structure)
     open_valve = kind(**dict.fromkeys(kind._fields, 0.0))._replace(
         velocity=max(speed_limits(parameters)) if lugre else 0.0,
@@ -97,7 +96,7 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
             )
     largest_friction, weaker = parameters.friction.largest_force, min(out, back)
     if largest_friction >= weaker - least:
-        name = "coulomb_force" if parameters.friction.model == FrictionModel.COULOMB else "breakaway_force"
+        name = "coulomb_force" if parameters.friction.model == "coulomb" else "breakaway_force"
         raise ConfigurationError(
             f"{source}: friction.{name} = {largest_friction:g} N: {supply.pressure / 1e5:g} bar give {weaker:.4g} N "
             f"{'out' if out < back else 'in'}, which does not move it {1e3 * LEAST_TRAVEL:g} mm; the limit is "

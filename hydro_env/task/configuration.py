@@ -4,8 +4,6 @@ The same classes validate a YAML file and the keywords of the environment. SI un
 per minute at 100 bar across the piston, as usual in practice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_serializer, field_validator
 
 from hydro_env.errors import ConfigurationError, UnknownKeyError
-from hydro_env.files import Group, read_yaml, whole_group, write_yaml
+from hydro_env.files import Group, read_yaml, whole_group
 from hydro_env.folders import config_file
 from hydro_env.mistakes import known_name
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters
@@ -54,7 +52,7 @@ class LeakageDraw(TaskGroup):
     start_range: Range = interval((0.25, 0.75), "1", "onset or start of growth, as a share of the episode", 0.0, 1.0)
 
     @whole_group
-    def _classes_rise(self) -> LeakageDraw:
+    def _classes_rise(self) -> "LeakageDraw":
         low, middle, high = self.class_bounds
         if not 0.0 < low < middle < high <= LEAKAGE_LIMIT:
             raise ValueError(
@@ -83,7 +81,7 @@ class References(TaskGroup):
     )
 
     @whole_group
-    def _consistent(self) -> References:
+    def _consistent(self) -> "References":
         if not sum(self.weights.values()) > 0.0:
             raise ValueError("weights: at least one family needs a positive weight")
         if self.weights.get("user", 0.0) > 0.0 and not self.user:
@@ -210,7 +208,7 @@ class TaskConfig(TaskGroup):
         return {**drawn, **dict.fromkeys(absent)}
 
     @whole_group
-    def _consistent(self) -> TaskConfig:
+    def _consistent(self) -> "TaskConfig":
         longest = MOST_LATE * self.control_period
         if self.command_latency > longest:
             raise ValueError(
@@ -242,7 +240,7 @@ class TaskConfig(TaskGroup):
         return tuple(preview_count(time, self.control_period) for time in self.references.preview_times)
 
     @classmethod
-    def from_yaml(cls, path: str | Path, **overrides: Any) -> TaskConfig:
+    def from_yaml(cls, path: str | Path, **overrides: Any) -> "TaskConfig":
         """Read a task from YAML; keywords override its fields.
 
         ``plant`` may be the name or the path (relative to the file) of a rig; the settings that are absent then follow
@@ -251,11 +249,7 @@ class TaskConfig(TaskGroup):
         Raises:
             ConfigurationError: unreadable file, unknown key, or an impossible value.
         """
-        return task_from(cls, read_yaml(path), str(path), Path(path).parent, overrides=overrides)
-
-    def to_yaml(self, path: str | Path) -> None:
-        """Write the whole task as YAML."""
-        write_yaml(path, self.model_dump(mode="json"))
+        return task_config(path, **overrides)
 
 
 def preview_count(time: float, period: float) -> int:

@@ -6,7 +6,6 @@ of the valve from a drawn full speed; what the questions leave open gets that co
 
 import math
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 
@@ -14,10 +13,11 @@ from hydro_env.errors import ConfigurationError
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.law import FIRST_SEEDS, RigLaw, StructureLaw
-from hydro_env.task.nameplates import rig_of
+from hydro_env.task.nameplates import rig_values
 from hydro_env.task.paces import pace, periods_per_step
-from hydro_env.task.rig import Rig, moved
+from hydro_env.task.rig import Rig, moved, rig_from
 from hydro_env.task.sensors import Sensors
+from hydro_env.types import ByName
 from hydro_env.units import from_unit, rounded
 
 BULK_MODULUS = 1.2e9  # Pa, as nameplates assumes
@@ -28,10 +28,10 @@ TRIES = 100
 
 
 def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:
-    return float(math.exp(draw.uniform(math.log(low), math.log(high))))
+    return math.exp(draw.uniform(math.log(low), math.log(high)))
 
 
-def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, Any], dict[str, float]]:
+def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[ByName, dict[str, float]]:
     """The figures of the nameplates of one rig (:func:`~hydro_env.task.nameplates.rig_values`), and its timing in s.
 
     They have the digits with which nameplates are written.
@@ -62,7 +62,7 @@ def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, A
     frequency = 2.0 * math.pi * between(*law.natural_frequency)
     mass = min(stiffness / frequency**2, (HASTE * forces / speed) ** 2 / stiffness)
 
-    figures: dict[str, Any] = {
+    figures: ByName = {
         "bore": from_unit(bore, "mm"),
         "rod": from_unit(rod, "mm"),
         "stroke": from_unit(stroke, "mm", 6),
@@ -109,10 +109,10 @@ def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, A
     return figures, {"control_period": 1e-3 * period, "command_latency": 1e-3 * round(latency, 2)}
 
 
-def _structure(law: StructureLaw, figures: dict[str, Any], draw: np.random.Generator) -> dict[str, Any]:
+def _structure(law: StructureLaw, figures: ByName, draw: np.random.Generator) -> ByName:
     """The figures of the parts that no nameplate tells; draws of their own, so that the rest of the rig stays."""
     between = partial(_log_uniform, draw)
-    found: dict[str, Any] = {}
+    found: ByName = {}
     bends, has_waves, is_sharp, at_valve, has_hose = draw.random(5)
     frequency, share, damping = between(*law.tip_frequency), between(*law.tip_mass), between(*law.tip_damping)
     length = between(*law.line_length)
@@ -147,7 +147,7 @@ def drawn_rig(law: RigLaw, seed: int) -> tuple[Rig, dict[str, float]]:
     for attempt in range(TRIES):
         figures, timing = drawn_figures(law, seed, attempt)
         try:
-            return with_steps_of_the_supply(rig_of(figures, f"rig {seed} of the law")), timing
+            return with_steps_of_the_supply(rig_from(rig_values(figures), f"rig {seed} of the law")), timing
         except ConfigurationError as error:
             fault = error
     raise ConfigurationError(f"law: none of {TRIES} drawn rigs can work; the last one: {' '.join(str(fault).split())}")

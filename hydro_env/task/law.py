@@ -1,7 +1,5 @@
 """The law from which rigs are drawn; its defaults are what is built and sold."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Literal
 
@@ -95,7 +93,7 @@ class RigLaw(TaskGroup):
     latency: Range = interval((0.5, 5.0), "ms", "at most one period", 0.01, 20.0)
 
     @whole_group
-    def _can_be_drawn(self) -> RigLaw:
+    def _can_be_drawn(self) -> "RigLaw":
         for name in ("cylinders", "supplies", "rated_flows", "pressure_ranges", "periods"):
             if not getattr(self, name):
                 raise ValueError(f"{name}: is empty; a law needs at least one to draw from")

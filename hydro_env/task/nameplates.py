@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hydro_env.errors import ConfigurationError
-from hydro_env.task.rig import Rig, rig_from
+from hydro_env.types import ByName
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE, in_si, rounded
 
 BAR = 1e5
@@ -62,7 +62,7 @@ NEEDS = {
 }
 """Figures that need another one."""
 
-RANGES: dict[str, dict[str, Any]] = {
+RANGES: dict[str, ByName] = {
     "cylinder.dead_volume": {"log_factor": (0.3, 3.0)},
     "valve.rated_flow": {"factor": (0.9, 1.1)},
     "valve.natural_frequency": {"log_factor": (0.4, 2.0)},
@@ -93,12 +93,7 @@ RANGES: dict[str, dict[str, Any]] = {
 """Distributions of the uncertain values of a rig of which little is known, SI."""
 
 
-def rig_of(figures: Figures, source: str) -> Rig:
-    """The rig that figures of nameplates describe (:func:`rig_values`); an error names ``source``."""
-    return rig_from(rig_values(figures), source)
-
-
-def rig_values(figures: Figures) -> dict[str, dict[str, Any]]:
+def rig_values(figures: Figures) -> dict[str, ByName]:
     """The content of a rig's file, in SI, from the figures of its nameplates.
 
     Args:
@@ -154,7 +149,7 @@ def rig_values(figures: Figures) -> dict[str, dict[str, Any]]:
 def _piston_mass(figures: Figures) -> float:
     """Mass in kg of a steel rod of 1.2 strokes and a piston of half a bore."""
     bore, rod = 0.25 * math.pi * figures["bore"] ** 2, 0.25 * math.pi * figures["rod"] ** 2
-    return float(STEEL * (1.2 * figures["stroke"] * rod + 0.5 * figures["bore"] * bore))
+    return STEEL * (1.2 * figures["stroke"] * rod + 0.5 * figures["bore"] * bore)
 
 
 @cache
@@ -216,7 +211,7 @@ def curve_fit(figures: Figures) -> tuple[float, float, float, float] | None:
     return fit
 
 
-def _valve(figures: Figures) -> dict[str, Any]:
+def _valve(figures: Figures) -> ByName:
     curve, overlap = {}, figures.get("overlap", 0.0)
     fit = curve_fit(figures)
     if fit:
@@ -273,7 +268,7 @@ def _has_hose(figures: Figures) -> bool:
     return "line_length" in figures and figures.get("line_kind") == "hose"
 
 
-def _supply(figures: Figures) -> dict[str, Any]:
+def _supply(figures: Figures) -> ByName:
     supply = {"model": "constant", "pressure": figures["supply_pressure"], "tank_pressure": BAR}
     if "pump_flow" not in figures:
         return supply
@@ -287,7 +282,7 @@ def _supply(figures: Figures) -> dict[str, Any]:
     return supply | {"model": "accumulator"} | gas
 
 
-def _ranges(figures: Figures, values: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _ranges(figures: Figures, values: Mapping[str, Mapping[str, Any]]) -> ByName:
     """The distributions of the uncertain values; what is given has a narrower one, or none."""
     ranges = dict(RANGES)
     if "dead_volume" in figures:
@@ -325,11 +320,11 @@ def _ranges(figures: Figures, values: Mapping[str, Mapping[str, Any]]) -> dict[s
 
 def position_error(figures: Figures) -> float:
     """Largest constant error of the position sensor, m."""
-    return float(figures.get("position_accuracy", ASSUMED_ACCURACY) * figures["stroke"])
+    return figures.get("position_accuracy", ASSUMED_ACCURACY) * figures["stroke"]
 
 
-def _sensors(figures: Figures) -> dict[str, Any]:
-    """Fields of the sensors that were given; what is not given follows from the rig."""
+def _sensors(figures: Figures) -> ByName:
+    """ByName of the sensors that were given; what is not given follows from the rig."""
     sensors = {}
     if "pressure_sensors" in figures:
         sensors["pressures_at"] = figures["pressure_sensors"]

@@ -1,13 +1,13 @@
 """Distributions of the plant's parameters, drawn in each episode."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
+from hydro_env.errors import ConfigurationError, at
 from hydro_env.files import Group, whole_group
 from hydro_env.mistakes import did_you_mean
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_LIMITS, PARAMETER_PATHS, PARAMETER_UNITS, PlantParameters
@@ -37,7 +37,7 @@ class Distribution(Group):
     otherwise_probability: Number = Field(0.0, ge=0.0, le=1.0)
 
     @whole_group
-    def _consistent(self) -> Distribution:
+    def _consistent(self) -> "Distribution":
         given = [name for name in FORMS if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"needs either 'uniform: [low, high]' or one of {', '.join(FORMS[1:])}")
@@ -81,13 +81,11 @@ def _in_si(ranges: Any) -> Any:
     for path, given in ranges.items():
         if isinstance(given, Mapping) and path in PARAMETER_UNITS and given.get("times") is None:
             units = dict.fromkeys(("uniform", "log_uniform", "otherwise"), PARAMETER_UNITS[path])
-            try:
+            with at(path):
                 result[path] = {
                     name: in_si(value, units.get(name, "1")) if name in Distribution.model_fields else value
                     for name, value in given.items()
                 }
-            except ValueError as error:
-                raise ValueError(f"{path}: {error}") from None
     return result
 
 
@@ -124,8 +122,7 @@ PUBLISHED_RANGES = {
 
 def own_value(plant: PlantParameters, path: str) -> float:
     """The number of a rig at ``group.field``."""
-    group, field = path.split(".")
-    return float(getattr(getattr(plant, group), field))
+    return float(attrgetter(path)(plant))
 
 
 def default_randomisation(plant: PlantParameters | None = None) -> dict[str, Distribution]:
@@ -159,14 +156,14 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
     """Check that every possible draw is a valid parameter; the paths are numbers of the plant.
 
     Raises:
-        ValueError: a draw may lie outside its bounds.
+        ConfigurationError: a draw may lie outside its bounds.
     """
     for path, distribution in randomisation.items():
         own = own_value(plant, path)
         if distribution.relative and math.isinf(own):
-            raise ValueError(f"randomisation: {path}: the rig's own value is infinite and has no multiples")
+            raise ConfigurationError(f"randomisation: {path}: the rig's own value is infinite and has no multiples")
         if distribution.log_factor is not None and own < 0.0:
-            raise ValueError(f"randomisation: {path}: log_factor needs a positive value of the rig, not {own:g}")
+            raise ConfigurationError(f"randomisation: {path}: log_factor needs a positive value, not {own:g}")
         values = list(distribution.bounds(own))
         if distribution.times is not None:
             factor = own_value(plant, distribution.times)
@@ -180,4 +177,4 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
             if not low <= value <= high:
                 side, limit = ("below", low) if value < low else ("above", high)
                 number, allowed = written(value, PARAMETER_UNITS[path]), written(limit, PARAMETER_UNITS[path])
-                raise ValueError(f"randomisation: {path} = {number} is {side} its limit {allowed}")
+                raise ConfigurationError(f"randomisation: {path} = {number} is {side} its limit {allowed}")

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hydro_env.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError, at
 from hydro_env.files import ModelType, read_yaml, validate
 from hydro_env.folders import config_file, config_folder
 from hydro_env.plant.parameters import PlantParameters
@@ -17,6 +17,7 @@ from hydro_env.task.randomisation import (
     own_value,
 )
 from hydro_env.task.sensors import SCALED_FIELDS, Sensors
+from hydro_env.types import ByName
 
 USUAL_RANGES = (100e5, 160e5, 250e5, 400e5, 600e5, 1000e5)  # Pa; upper ends of the ranges of pressure sensors on sale
 SHARE_OF_ACCELERATION = 0.25  # of what the supply can give: largest acceleration of smooth references
@@ -30,7 +31,7 @@ class Rig(NamedTuple):
 
     plant: PlantParameters
     randomisation: dict[str, Distribution]
-    sensors: dict[str, Any]  # settings in its file, by path: ``sensors.pressure_a.high``
+    sensors: ByName  # settings in its file, by path: ``sensors.pressure_a.high``
     source: str  # for messages
 
 
@@ -62,11 +63,9 @@ def rig_from(values: Values, source: str) -> Rig:
     checked = validate(_RigFile, values, source)
     plant = PlantParameters(**{name: getattr(checked, name) for name in PlantParameters.model_fields})
     refuse_unworkable(plant, source)
-    try:
+    with at(source):
         check_draws(default_randomisation(plant) | checked.randomisation, plant)
-    except ValueError as error:
-        raise ConfigurationError(f"{source}: {error}") from None
-    sensors: dict[str, Any] = {}
+    sensors: ByName = {}
     for name, given in values.get("sensors", {}).items():
         own = getattr(checked.sensors, name)
         if isinstance(given, Mapping):
@@ -79,7 +78,7 @@ def rig_from(values: Values, source: str) -> Rig:
 DRAWN = ("plant", "control_period", "command_latency", "command_latency_range")  # a law draws them with the rig
 
 
-def law_of(given: str | Path) -> dict[str, Any] | None:
+def law_of(given: str | Path) -> ByName | None:
     """The law from which rigs are drawn: of a name in ``configs/laws``, or in a file; ``None``: it is one rig.
 
     Raises:
@@ -173,7 +172,7 @@ def _refuse_drawn_leak(plant: Any, source: str) -> None:
             )
 
 
-def moved(task: Any, rig: Rig) -> dict[str, Any]:
+def moved(task: Any, rig: Rig) -> ByName:
     """A task on another rig: settings that followed from the old rig follow from the new one; the user's settings stay.
 
     Sensor settings in the file of the new rig take precedence over those that follow from its size.
@@ -181,8 +180,7 @@ def moved(task: Any, rig: Rig) -> dict[str, Any]:
     Raises:
         ConfigurationError: the task draws a parameter from a range that does not contain the rig's own value.
     """
-    defaults: dict[str, Any] = type(task)().model_dump()
-    result: dict[str, Any] = task.model_dump()
+    defaults, result = type(task)().model_dump(), task.model_dump()
     before, after = _following(task.plant, defaults, {}), _following(rig.plant, defaults, rig.sensors) | rig.sensors
     for path, value in after.items():
         group, name = path.rsplit(".", 1)
@@ -199,7 +197,7 @@ def pressure_ranges(plant: PlantParameters) -> dict[str, float]:
     from hydro_env.plant.arrays import plant_coefficients  # compiled code
 
     c = plant_coefficients(plant)
-    ratio = float(c.area_a / c.area_b)
+    ratio = c.area_a / c.area_b
     reached = {"pressure_a": max(1.0, 1.0 / ratio), "pressure_b": max(1.0, ratio)}
     return {
         name: next((end for end in USUAL_RANGES if end > times * plant.supply.pressure), times * plant.supply.pressure)
@@ -207,7 +205,7 @@ def pressure_ranges(plant: PlantParameters) -> dict[str, float]:
     }
 
 
-def _following(plant: PlantParameters, defaults: Values, own: Values) -> dict[str, Any]:
+def _following(plant: PlantParameters, defaults: Values, own: Values) -> ByName:
     """Settings that follow from a rig and its own sensors, by path; for the paper's rig the defaults, bit for bit."""
     from hydro_env.plant.analysis import (  # compiled code
         closed_port_natural_frequency,
@@ -251,7 +249,7 @@ def _following(plant: PlantParameters, defaults: Values, own: Values) -> dict[st
     return values
 
 
-def _moved_ranges(task: Any, rig: Rig) -> dict[str, Any]:
+def _moved_ranges(task: Any, rig: Rig) -> ByName:
     """Randomisation of a task on another rig; a user's range must contain the new rig's value."""
     given, before = task.randomisation, default_randomisation(task.plant)
     after = default_randomisation(rig.plant) | rig.randomisation
@@ -271,7 +269,7 @@ def _moved_ranges(task: Any, rig: Rig) -> dict[str, Any]:
     return {path: draw.model_dump() for path, draw in result.items()}
 
 
-def merged(base: Values, changes: Values) -> dict[str, Any]:
+def merged(base: Values, changes: Values) -> ByName:
     """``base`` updated by ``changes``, group by group, each distribution of ``randomisation`` as a whole.
 
     ``references.weights`` is replaced as a whole, and so is ``randomisation`` by an empty group, which draws nothing,

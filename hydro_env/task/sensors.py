@@ -1,12 +1,11 @@
 """The measured signals: noise, bias, range and acquisition of each sensor."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from hydro_env.errors import at
 from hydro_env.files import Group, whole_group
 from hydro_env.units import Number, in_si, quantity
 
@@ -22,7 +21,7 @@ class Sensor(Group):
     fitted: bool = Field(True, description="false: rig and observation lack this sensor")
 
     @whole_group
-    def _range_rises(self) -> Sensor:
+    def _range_rises(self) -> "Sensor":
         if not self.low < self.high:
             raise ValueError(f"low = {self.low:g} must be below high = {self.high:g}")
         return self
@@ -43,10 +42,8 @@ CHANNEL_UNITS = {"position": "m", "pressure_a": "Pa", "pressure_b": "Pa", "spool
 def _in_si(channel: str, fields: Mapping[str, Any]) -> dict[str, Any]:
     result = {}
     for name, value in fields.items():
-        try:
+        with at(f"{channel}.{name} = {value!r}"):
             result[name] = in_si(value, CHANNEL_UNITS[channel])
-        except ValueError as error:
-            raise ValueError(f"{channel}.{name} = {value!r}: {error}") from None
     return result
 
 
@@ -70,13 +67,13 @@ class Sensors(Group):
     velocity_filter_time: Number = quantity(0.010, "s", "first-order filter of the differenced position", 0.0, 1.0)
 
     @whole_group
-    def _position_is_measured(self) -> Sensors:
+    def _position_is_measured(self) -> "Sensors":
         if not self.position.fitted:
             raise ValueError("position.fitted = false: an axis without position sensor cannot follow a reference")
         return self
 
     @whole_group
-    def _one_difference(self) -> Sensors:
+    def _one_difference(self) -> "Sensors":
         if self.differential_pressure and (self.pressure_b.fitted or not self.pressure_a.fitted):
             raise ValueError("differential_pressure: true needs pressure_a.fitted: true and pressure_b.fitted: false")
         return self

@@ -250,11 +250,11 @@ def try_detector() -> None:
     task, signals = protocol.known_task("standing"), {}
     for level in (0.0, 1.0):
         cases = protocol.cases_in("standing", level, 3)
-        signals[level] = simulated_windows(protocol.task_in("standing"), "PID", cases, 400)[0]
+        signals[level] = simulated_windows(protocol.tasks["standing"], "PID", cases, 400)[0]
     healthy, leaking = (detector.read(Windows.of(each), task) for each in signals.values())
     assert healthy.answers.all()
     assert (leaking.score > 2.0 * healthy.score).all()
-    moving = simulated_windows(protocol.task_in("ordinary"), "PID", protocol.cases_in("ordinary", 1.0, 3), 400)[0]
+    moving = simulated_windows(protocol.tasks["ordinary"], "PID", protocol.cases_in("ordinary", 1.0, 3), 400)[0]
     assert not detector.read(Windows.of(moving), task).answers.all()
     assert "needs the position" in detector.refuses(task_config(sensors={"spool_position": {"fitted": False}}), 400)
 
@@ -274,7 +274,7 @@ def try_evaluation() -> None:
     thin = protocol.cases_of("thin_oil", protocol.cases_in("thin_oil")).parameters
     assert thin is not None
     assert thin["fluid"]["bulk_modulus"] == 0.7 * protocol.task.plant.fluid.bulk_modulus
-    assert protocol.task_in("thin_oil").plant == protocol.task.plant
+    assert protocol.tasks["thin_oil"].plant == protocol.task.plant
     chosen = participants({"PID": "pid", "Flow linearisation": "flow_linearising"}, protocol)
     tables = run_protocol(protocol, chosen).tables()
     compared = tables["comparison"]

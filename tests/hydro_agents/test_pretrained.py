@@ -6,7 +6,7 @@ from sklearn.metrics import roc_auc_score
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.detection.detector import measured_run
-from hydro_agents.detection.monitor import load_head
+from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.study import default_study
 from hydro_agents.learning.loading import load_controller, shipped
@@ -49,7 +49,7 @@ def test_the_policy_for_any_axis_beats_what_it_corrects_on_rigs_that_it_never_sa
 
 @pytest.mark.parametrize("controller", ["PID", "PPO"])
 def test_head_flags_leaks_under_either_controller(policy, controller):
-    head = load_head(None, STUDY.task)
+    head = HeadDetector.load().on(STUDY.task)
     count = 300
     flow = np.where(np.arange(count) % 2 == 0, 0.02, np.geomspace(0.3, 4.0, count))
     seeds = np.arange(count) + VALIDATION_SEEDS.start + 800_000

@@ -3,41 +3,30 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hydro_env import PlantParameters, rendering
+from hydro_env import rendering
+from hydro_env.env import ServoHydraulicEnv
 from hydro_env.plant.states import State
-from hydro_env.rendering import AxisRenderer, View
 
-TIME = 0.005 * np.arange(401)
-VIEW = View(
-    time=2.0,
-    state=State(0.02, 0.05, 30e5, 40e5, 0.2, 0.0, 0.5, 70e5, 1e-3, 0.0),
-    reference=0.05,
-    command=0.3,
-    leakage_flow_lpm=0.3,
-    external_force=0.0,
-    cylinder=PlantParameters().cylinder,
-    has_spring=True,
-    period=0.005,
-    past=np.stack([0.01 * TIME, np.full(401, 0.05)], axis=1),
-    coming=np.full(100, 0.05),
-)
-PISTON_ROW, LOAD_ROW, PLOT = 150, 120, slice(310, 505)
+STATE = State(0.02, 0.05, 30e5, 40e5, 0.2, 0.0, 0.5, 70e5, 1e-3, 0.0)
+PISTON_ROW, LOAD_ROW = 150, 120
 
 
 @pytest.fixture(scope="module")
-def renderer():
-    return AxisRenderer("rgb_array")
+def env():
+    env = ServoHydraulicEnv(render_mode="rgb_array")
+    env.reset(seed=0)
+    return env
 
 
-def draw(renderer, **changes):
-    """The picture with changes of the view or of its state."""
-    state = {name: changes.pop(name) for name in State._fields if name in changes}
-    return renderer.draw(replace(VIEW, state=VIEW.state._replace(**state), **changes))
+def draw(env, reference=0.05, leak_flow=0.3, **state):
+    """The picture of an axis with changes of its state."""
+    env.axes.state[0] = STATE._replace(**state)
+    env.axes.record["reference"], env.axes.record["leak_flow"] = reference, leak_flow
+    return env.render()
 
 
 def where(picture, color):
@@ -52,23 +41,23 @@ def center(picture, row, color):
 
 
 @pytest.mark.parametrize("position", [-0.2, 0.13])
-def test_piston_load_and_reference_stand_on_the_scale_of_the_stroke(renderer, position):
-    middle, moved = draw(renderer, position=0.0), draw(renderer, position=position)
+def test_piston_load_and_reference_stand_on_the_scale_of_the_stroke(env, position):
+    middle, moved = draw(env, position=0.0), draw(env, position=position)
     expected = position / 0.4 * rendering.STROKE_PIXELS
     for row, color in ((PISTON_ROW, rendering.PISTON), (LOAD_ROW, rendering.POSITION)):
         assert center(moved, row, color) - center(middle, row, color) == pytest.approx(expected, abs=1.5)
-    wanted = center(draw(renderer, position=0.1, reference=position), 100, rendering.REFERENCE)
-    load = center(draw(renderer, position=position, reference=0.1), LOAD_ROW, rendering.POSITION)
+    wanted = center(draw(env, position=0.1, reference=position), 100, rendering.REFERENCE)
+    load = center(draw(env, position=position, reference=0.1), LOAD_ROW, rendering.POSITION)
     assert wanted == pytest.approx(load, abs=1)
 
 
-def test_the_leak_arrow_grows_with_the_leak_and_points_to_the_lower_pressure(renderer):
+def test_the_leak_arrow_grows_with_the_leak_and_points_to_the_lower_pressure(env):
     flows = (0.0, 0.1, 0.3, 1.0, 4.0)
-    areas = [len(where(draw(renderer, leakage_flow_lpm=flow), rendering.LEAK)[0]) for flow in flows]
+    areas = [len(where(draw(env, leak_flow=flow), rendering.LEAK)[0]) for flow in flows]
     assert areas[0] == 0
     assert areas == sorted(set(areas))
     for higher, lower, side in (("pressure_a", "pressure_b", 1), ("pressure_b", "pressure_a", -1)):
-        picture = draw(renderer, **{higher: 60e5, lower: 10e5})
+        picture = draw(env, **{higher: 60e5, lower: 10e5})
         rows, columns = where(picture[:150], rendering.LEAK)
         head = columns[rows == rows.max()].mean()  # it holds the pixels farthest from the bore wall
         assert side * (head - center(picture, PISTON_ROW, rendering.PISTON)) > 0

@@ -30,7 +30,8 @@ class _Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as stop:  # typer would end the program without a message
-            _end(getattr(stop, "exit_code", 130), "; ".join(["stopped", *getattr(stop, "__notes__", [])]))
+            number = stop.args[0] if stop.args else signal.SIGINT
+            _end(128 + number, "; ".join(["stopped", *getattr(stop, "__notes__", [])]))
 
 
 HELP = """A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, detect the leak.
@@ -101,14 +102,6 @@ def common(
     del version
 
 
-class _Stopped(KeyboardInterrupt):
-    """A signal that ends the program; finished work is kept as after Ctrl-C."""
-
-    @property
-    def exit_code(self) -> int:
-        return 128 + int(self.args[0])
-
-
 def main() -> None:
     """Entry point: one line and exit code 2 for an error that the user can correct; 128 + number after a signal."""
     _prepare_streams()
@@ -169,7 +162,8 @@ def _warning(message: object, category: type[Warning], *place: Any, **line: Any)
 
 
 def _stop(number: int, frame: object) -> None:
-    raise _Stopped(number)
+    """End the program; finished work is kept as after Ctrl-C."""
+    raise KeyboardInterrupt(number)
 
 
 def _end(code: int, message: str) -> NoReturn:

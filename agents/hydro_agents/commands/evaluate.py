@@ -1,7 +1,5 @@
 """``hydro evaluate``: compare controllers on test plants."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +19,8 @@ from hydro_agents.commands.options import (
     tell_rigs,
     working_in,
 )
+from hydro_env.files import Group, read_yaml, validate, write_whole
+from hydro_env.folders import config_file
 
 if TYPE_CHECKING:
     from hydro_agents.commands.protocols import Options
@@ -86,8 +86,6 @@ def evaluate(
     """
     from hydro_agents.commands.protocols import Options
     from hydro_agents.running.jobs import workers
-    from hydro_env.files import read_yaml
-    from hydro_env.folders import config_file
     from hydro_env.task.rig import law_of
 
     if rig is not None:
@@ -116,7 +114,7 @@ def evaluate(
             _evaluate_controllers(named_agents(agent), config, plants, options)
 
 
-def _evaluate_detectors(head: Path | None, options: Options) -> None:
+def _evaluate_detectors(head: Path | None, options: "Options") -> None:
     """Run a leakage protocol; the head of ``--head`` replaces that of the protocol."""
     from hydro_agents.commands.pages import LEAKAGE_PAGE
     from hydro_agents.commands.protocols import run_protocol
@@ -130,18 +128,17 @@ def _evaluate_detectors(head: Path | None, options: Options) -> None:
     run_protocol(protocol, detectors, options, LEAKAGE_PAGE, protocol)
 
 
-def _evaluate_on_drawn_rigs(law: dict[str, Any], agents: dict[str, str], plants: int | None, options: Options) -> None:
+def _evaluate_on_drawn_rigs(
+    law: dict[str, Any], agents: dict[str, str], plants: int | None, options: "Options"
+) -> None:
     """Run agents and untuned flow linearisation on rigs of the test split."""
     from hydro_agents.evaluation.drawn_rigs import PLANTS, on_drawn_rigs, summary
     from hydro_agents.running.console import console_table
-    from hydro_agents.running.jobs import RESULT_FILES
     from hydro_agents.running.text import Table
-    from hydro_env.files import write_whole
     from hydro_env.task.configuration import task_config
 
     drawn = task_config(options.task, law=law | {"split": "test", "count": TEST_RIGS})
-    writes = [RESULT_FILES, "rigs.csv"]
-    with working_in(options.output, "evaluate", writes, options.resume, options.overwrite) as display:
+    with working_in(options.output, "evaluate", ["rigs.csv"], options.resume, options.overwrite) as display:
         rows = on_drawn_rigs(drawn, agents, plants or PLANTS, options.output, display.update)
         write_whole(options.output / "rigs.csv", rows.to_csv(index=False).encode())
     header = ("agent", "rigs", "error ÷ untuned, median (95 %)", "geometric mean", "better on", "range", "failures")
@@ -150,21 +147,19 @@ def _evaluate_on_drawn_rigs(law: dict[str, Any], agents: dict[str, str], plants:
     display.say(f"rigs: {(options.output / 'rigs.csv').resolve()}")
 
 
-def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: int | None, options: Options) -> None:
+def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: int | None, options: "Options") -> None:
     """Run a protocol, or the evaluation of a study; agents replace controllers of the study by their names."""
     import yaml
 
-    from hydro_agents.commands.pages import robustness_page, study_page
+    from hydro_agents.commands.pages import ROBUSTNESS_PAGE, study_page
     from hydro_agents.commands.protocols import run_protocol
     from hydro_agents.evaluation.evaluate import ProtocolSettings
     from hydro_agents.evaluation.participants import participants
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
     from hydro_agents.evaluation.study import StudySettings, default_study
-    from hydro_env.files import Group, validate
-    from hydro_env.folders import config_file
 
     if options.file is not None:
-        protocol, page = options.read(RobustnessProtocol), robustness_page()
+        protocol, page = options.read(RobustnessProtocol), ROBUSTNESS_PAGE
         study = StudySettings.from_yaml(config_file("studies", config or OPPONENTS))
         study = study.model_copy(update={"task": protocol.task}).with_gains_of_rig()
         settings: Group = protocol

@@ -1,7 +1,5 @@
 """Options that several commands share."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys
@@ -120,16 +118,18 @@ def refuse_given(options: Mapping[str, object], why: str) -> None:
 @contextmanager
 def working_in(
     folder: Path, job: str, writes: Sequence[str], resume: bool, overwrite: bool
-) -> Iterator[ProgressDisplay]:
-    """Claim a folder for the files of a command (:func:`~hydro_agents.running.folders.output_folder`), show progress.
+) -> "Iterator[ProgressDisplay]":
+    """Claim a folder for the files and jobs of a command (:func:`~hydro_agents.running.folders.output_folder`).
 
     Raises:
         ConfigurationError: the folder cannot be used.
     """
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.jobs import RESULT_FILES
 
-    with output_folder(folder, job, writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+    files = [*writes, RESULT_FILES]
+    with output_folder(folder, job, files, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         yield display
 
 
@@ -165,7 +165,7 @@ def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
     return agents
 
 
-def tell_rigs(study: StudySettings, controllers: Mapping[str, Controller]) -> None:
+def tell_rigs(study: "StudySettings", controllers: "Mapping[str, Controller]") -> None:
     """Name on standard error, in one line, the controllers that were made for another rig than the study's."""
     from hydro_agents.learning.loading import outside_training, trained_for
 

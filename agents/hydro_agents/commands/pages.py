@@ -17,10 +17,10 @@ from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.limit_cycles import rest_warning
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.seeds import EXPERIMENT_AXES
-from hydro_agents.running.text import Table, setting
+from hydro_agents.running.text import FAMILY_NAMES, Table, setting
 from hydro_env import ConfigurationError
 
-EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop moves"}
+EXAMPLE_FAMILIES = ("step", "start_stop")
 
 
 class PageOf(NamedTuple):
@@ -63,15 +63,6 @@ class PageOf(NamedTuple):
 # Controllers ----------------------------------------------------------------------------------------------------------
 
 
-def robustness_page() -> PageOf:
-    """The page of a robustness protocol."""
-
-    def draw(results: Results) -> Page:
-        return controllers_page(results.protocol.title, results.tables())
-
-    return PageOf("robustness.html", draw, summary, remarks)
-
-
 def study_page(configuration: str) -> PageOf:
     """The page of a study with these settings (YAML)."""
 
@@ -98,7 +89,7 @@ def example_traces(results: Results) -> list[Example]:
             runs[name] = run_cases(protocol.task, controller, cases)
     examples = []
     for case, (family, leak) in enumerate(product(families, leaks)):
-        examples.append(Example(EXAMPLE_FAMILIES[family], leak, runs, case))
+        examples.append(Example(FAMILY_NAMES[family], leak, runs, case))
     return examples
 
 
@@ -124,12 +115,12 @@ def remarks(results: Results) -> Iterator[str]:
             yield warning
 
 
+ROBUSTNESS_PAGE = PageOf(
+    "robustness.html", lambda results: controllers_page(results.protocol.title, results.tables()), summary, remarks
+)
+
+
 # Detectors ------------------------------------------------------------------------------------------------------------
-
-
-def leakage_page_of(results: Results) -> Page:
-    """The page of a leakage protocol."""
-    return leakage_page(results.protocol.title, results.tables(), results.protocol.base)
 
 
 def shares(results: Results) -> Iterator[Table]:
@@ -141,4 +132,8 @@ def shares(results: Results) -> Iterator[Table]:
     yield as_text(rates, f"Windows reported as a leak, %: {base}")
 
 
-LEAKAGE_PAGE = PageOf("leakage.html", leakage_page_of, shares)
+LEAKAGE_PAGE = PageOf(
+    "leakage.html",
+    lambda results: leakage_page(results.protocol.title, results.tables(), results.protocol.base),
+    shares,
+)

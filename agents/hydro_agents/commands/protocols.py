@@ -7,7 +7,6 @@ from hydro_agents.commands.options import command_line, working_in
 from hydro_agents.commands.pages import PageOf
 from hydro_agents.evaluation.conditions import Protocol
 from hydro_agents.evaluation.runner import Facts, run
-from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.tasks import timed_task
 from hydro_env.files import Group, write_yaml
@@ -53,8 +52,7 @@ def run_protocol(protocol: Protocol[Any], chosen: Any, options: Options, page: P
     output, file, facts = options.output, "evaluation.yaml", facts_of()
     if options.file is not None:
         file, facts = "protocol.yaml", facts_of(file=str(options.file))
-    writes = [file, RESULT_FILES, *page.files]
-    with working_in(output, "evaluate", writes, options.resume, options.overwrite) as display:
+    with working_in(output, "evaluate", [file, *page.files], options.resume, options.overwrite) as display:
         write_yaml(output / file, settings.model_dump(mode="json"))
         results = run(protocol, chosen, output, display.update, facts)
         page.write(results, output, display)

@@ -14,7 +14,8 @@ from hydro_agents.commands.options import Latency, OverwriteFile, Period, Rig, c
 from hydro_agents.rigs.rig_file import QUESTIONS, Question, answers_from, parsed
 from hydro_agents.rigs.rig_file import new_rig as written_rig
 from hydro_env import ConfigurationError
-from hydro_env.mistakes import unknown
+from hydro_env.files import write_text, write_yaml
+from hydro_env.mistakes import refuse_unknown
 from hydro_env.task.nameplates import Figures, curve_fit
 
 FLEET_FILE = "fleet.yaml"
@@ -47,8 +48,6 @@ def new_rig(
     every uncertain one. Check it next with `hydro check-rig`. `--table` writes the files of many rigs and the
     `fleet.yaml` that `hydro watch` and `hydro trend` read, and says what each axis lacks.
     """
-    from hydro_env.files import write_text
-
     if table is not None:
         if figures:
             raise ConfigurationError("--table FILE: holds the figures of all axes; give none beside it")
@@ -86,7 +85,6 @@ def _write_fleet(table: Path, folder: Path, overwrite: bool) -> None:
         ConfigurationError: the table is none, a file would be replaced, or axes lack figures; the others are written.
     """
     from hydro_agents.rigs.rig_table import figures_of_table
-    from hydro_env.files import write_text, write_yaml
 
     axes, others = figures_of_table(table)
     files = {axis: re.sub(r"[^\w-]+", "_", axis) + ".yaml" for axis in axes}
@@ -149,8 +147,7 @@ def _named_figures(words: Sequence[str]) -> dict[str, str]:
         name = name.strip().lstrip("-").replace("_", "-")
         if not value:
             raise ConfigurationError(f"new-rig '{word[:60]}': must be NAME=VALUE, such as bore=63mm")
-        if name not in names:
-            raise ConfigurationError(f"new-rig {word[:60]}: {unknown(name, names, 'figure')}")
+        refuse_unknown(f"new-rig {word[:60]}", (name,), names, "figure")
         if names[name] in given:
             raise ConfigurationError(f"new-rig {word[:60]}: '{name}' is given twice")
         given[names[name]] = value

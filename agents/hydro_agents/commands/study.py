@@ -1,12 +1,9 @@
 """``hydro study`` and ``hydro train``: whole studies, and one training."""
 
-from __future__ import annotations
-
-import math
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -27,6 +24,7 @@ from hydro_agents.commands.options import (
     working_in,
 )
 from hydro_env import ConfigurationError
+from hydro_env.files import validate
 from hydro_env.mistakes import did_you_mean
 
 if TYPE_CHECKING:
@@ -73,8 +71,8 @@ def study(
 
 
 def whole_study(
-    study: StudySettings, folder: Path, seeds: range, resume: bool = False, overwrite: bool = False
-) -> Results:
+    study: "StudySettings", folder: Path, seeds: range, resume: bool = False, overwrite: bool = False
+) -> "Results":
     """Run a study in its folder, and write its tables and its page; ``resume`` skips the phases that are finished.
 
     Raises:
@@ -161,15 +159,13 @@ class _Part(NamedTuple):
     name: str
     written: str  # its result
     files: Sequence[str]  # that it may write
-    work: Callable[[Path, int, ProgressDisplay], object]  # in a folder, with a seed
+    work: "Callable[[Path, int, ProgressDisplay], object]"  # in a folder, with a seed
 
 
-def _controller(study: StudySettings, what: str, steps: int | None) -> _Part:
+def _controller(study: "StudySettings", what: str, steps: int | None) -> _Part:
     """The training of a controller; gains of the rig for the one that it corrects are tuned first."""
     from hydro_agents.controllers.registry import GAINS_FILE
     from hydro_agents.evaluation.study_run import TRAINING_FILES, WEIGHTS, train_controller, tune_controller
-    from hydro_agents.running.jobs import RESULT_FILES
-    from hydro_env.files import validate
 
     name = _trained(study, what)
     entry = study.controllers[name]
@@ -181,21 +177,19 @@ def _controller(study: StudySettings, what: str, steps: int | None) -> _Part:
     if corrected in study.trained:
         raise ConfigurationError(f"{name} corrects {corrected}, which must be trained first; run hydro study")
     one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis
-    tuned = one_rig and corrected in study.tuned
 
-    def work(folder: Path, seed: int, display: ProgressDisplay) -> None:
+    def work(folder: Path, seed: int, display: "ProgressDisplay") -> None:
         base: Controller | None = None
-        if corrected is not None and tuned:
+        if corrected in study.tuned and one_rig:
             base = tune_controller(study, corrected, folder / GAINS_FILE, folder, seed, display)
         elif corrected is not None:
             base = study.make(corrected)
         train_controller(study, name, folder, seed, base, display)
 
-    files = (*TRAINING_FILES, GAINS_FILE, RESULT_FILES) if tuned else TRAINING_FILES
-    return _Part(name, f"{WEIGHTS}.safetensors", files, work)
+    return _Part(name, f"{WEIGHTS}.safetensors", (*TRAINING_FILES, GAINS_FILE), work)
 
 
-def _trained(study: StudySettings, what: str) -> str:
+def _trained(study: "StudySettings", what: str) -> str:
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.trainers import TRAINERS
 
@@ -211,37 +205,33 @@ def _trained(study: StudySettings, what: str) -> str:
     raise ConfigurationError(f"train '{what}': unknown; this study trains: {', '.join(known)}{guess}")
 
 
-def _gains(study: StudySettings, kind: str, steps: int | None) -> _Part:
+def _gains(study: "StudySettings", kind: str, steps: int | None) -> _Part:
     """The tuning of one classical controller for the task of a study; each family has the same weight."""
     from hydro_agents.evaluation.study import StudySettings
     from hydro_agents.evaluation.study_run import tune_controller
     from hydro_agents.learning.tuning import EVALUATIONS
-    from hydro_agents.running.jobs import RESULT_FILES
-    from hydro_env.files import validate
 
     entry = {"kind": kind, "tune": {"evaluations": steps or EVALUATIONS}}
     alone, file = validate(StudySettings, {"task": study.task, "controllers": {kind: entry}}, "train"), f"{kind}.yaml"
 
-    def work(folder: Path, seed: int, display: ProgressDisplay) -> None:
+    def work(folder: Path, seed: int, display: "ProgressDisplay") -> None:
         tune_controller(alone, kind, folder / file, folder, seed, display)
 
-    return _Part(kind, file, (file, RESULT_FILES), work)
+    return _Part(kind, file, (file,), work)
 
 
-def _head(study: StudySettings, agents: dict[str, str]) -> _Part:
-    from hydro_agents.running.jobs import RESULT_FILES
-
+def _head(study: "StudySettings", agents: dict[str, str]) -> _Part:
     study.leakage_head.check(study.task)
     named = study.with_weights(agents) if study.leakage_head.law is None else {}
     tell_rigs(study, named)
 
-    def work(folder: Path, seed: int, display: ProgressDisplay) -> None:
+    def work(folder: Path, seed: int, display: "ProgressDisplay") -> None:
         from hydro_agents.detection.head_training import train_head  # loads torch
 
-        def report(phase: str, done: int, total: int, loss: float) -> None:
-            display.update(f"leakage head, {phase}", done, total, "" if math.isnan(loss) else f"loss {loss:.4f}")
+        def report(phase: str, *done: Any) -> None:
+            display.update(f"leakage head, {phase}", *done)
 
         head = train_head(study.task, list(named.values()), study.leakage_head, seed, report, folder)
         head.save(folder / HEAD_WEIGHTS)
 
-    return _Part("head", f"{HEAD_WEIGHTS}.safetensors", (f"{HEAD_WEIGHTS}.*", RESULT_FILES), work)
+    return _Part("head", f"{HEAD_WEIGHTS}.safetensors", (f"{HEAD_WEIGHTS}.*",), work)

@@ -1,7 +1,5 @@
 """The one interface of all controllers: ``predict(observation, state, episode_start, deterministic)``."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -83,12 +81,12 @@ class ObservationLayout:
     control_period: float
 
     @classmethod
-    def of(cls, config: TaskConfig) -> ObservationLayout:
+    def of(cls, config: TaskConfig) -> "ObservationLayout":
         """The layout of a task's observations."""
         if config.law is not None:
             raise ConfigurationError("law: a controller is made for one rig; rig_tasks(config) lists those of the law")
         names, _, scale, _ = observation_layout(config)
-        return cls(tuple(names), tuple(float(value) for value in scale), config.control_period)
+        return cls(names, tuple(scale.tolist()), config.control_period)
 
     def index(self, name: str) -> int:
         """Column of a signal.

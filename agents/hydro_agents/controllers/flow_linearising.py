@@ -139,8 +139,7 @@ class FlowLinearising(ClassicalController):
 
         def speed(time: float) -> Floats:
             ends = [path_weights(time + side * width, horizon, period) for side in (-1.0, 1.0)]
-            weights: Floats = (ends[1] - ends[0]) / (2.0 * width)
-            return weights
+            return (ends[1] - ends[0]) / (2.0 * width)
 
         speeds = [speed(lead), speed(lead - period), speed(lead + period)]
         return np.stack([path_weights(self._ahead, horizon, period), *speeds], axis=1)

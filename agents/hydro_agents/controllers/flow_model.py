@@ -58,8 +58,7 @@ class FlowModel:
         motion the data sheet tells more. It also bounds the estimate.
         """
         at_rest = np.clip(pressures.sum(axis=0) - self._c.tank_pressure, *self._supplies)
-        supply: Floats = np.where(speed == 0.0, at_rest, self._c.relief_pressure)
-        return supply
+        return np.where(speed == 0.0, at_rest, self._c.relief_pressure)
 
     def at(self, position: Floats, pressures: Floats, supply: Floats) -> Flow:
         """:class:`Flow` at positions (N,) in m, pressures (2, N) and supply pressures (N,) in Pa."""
@@ -100,8 +99,7 @@ class FlowModel:
         opening = 0.5 * ((speed + root) / flow.extending + (speed - root) / flow.retracting)
         if not self._straight:
             opening = _stroke_of(opening, self._c)
-        spool: Floats = opening + self._c.null_shift
-        return spool
+        return opening + self._c.null_shift
 
     def voltage_at_rest(self, position: Floats, pressure_a: Any = None, pressure_b: Any = None) -> Any:
         """Voltage (V) at which no oil moves the piston, (), at the measured pressures (Pa); else at the rig's own load.
@@ -132,9 +130,8 @@ class FlowModel:
 def _edge_opening(stroke: Floats, c: Any) -> Floats:
     """Opening of an edge whose land has moved by ``stroke`` from the null; as in ``plant/parts/valve.py``."""
     beyond = (stroke - c.overlap) * c.stroke_factor
-    opening: Floats = 0.5 * (np.sqrt(beyond * beyond + c.underlap_squared) + beyond)
-    bent: Floats = c.slope * opening + c.slope_change * np.maximum(beyond - c.knee_position, 0.0)
-    return bent
+    opening = 0.5 * (np.sqrt(beyond * beyond + c.underlap_squared) + beyond)
+    return c.slope * opening + c.slope_change * np.maximum(beyond - c.knee_position, 0.0)
 
 
 def _stroke_of(opening: Floats, c: Any) -> Floats:
@@ -145,7 +142,6 @@ def _stroke_of(opening: Floats, c: Any) -> Floats:
     size = np.abs(opening)
     at_knee = c.slope * c.knee_position
     beyond = np.where(size > at_knee, c.knee_position + (size - at_knee) / (c.slope + c.slope_change), size / c.slope)
-    stroke: Floats = np.sign(opening) * beyond / c.stroke_factor + c.overlap * opening / np.sqrt(
+    return np.sign(opening) * beyond / c.stroke_factor + c.overlap * opening / np.sqrt(
         opening * opening + c.underlap_squared + 1e-12
     )
-    return stroke

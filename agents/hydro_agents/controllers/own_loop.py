@@ -31,7 +31,7 @@ class OwnLoop:
         controller: a name (``"pid"``, ``"flow_linearising"``, ``"ppo"``), weights, gains, or an object with
             ``predict``; on a rig without shipped gains, a name searches for some, which takes a minute.
         task: rig, sensors and control period; ``ahead`` then lists the times, s, of the references ahead.
-        head: a leakage head that watches, ``load_head(None, task)``; ``leak`` holds its last answer.
+        head: a leakage head that watches, ``HeadDetector.load().on(task)``; ``leak`` holds its last answer.
         si: signals in m, Pa and fractions of the stroke of the spool; default: in mm, bar and %.
 
     Raises:

@@ -1,7 +1,5 @@
 """PID with anti-windup, derivative filter and velocity feed-forward; works on one axis or on many at once."""
 
-from __future__ import annotations
-
 from copy import copy
 from typing import Any, NamedTuple
 
@@ -120,7 +118,7 @@ class PID(ClassicalController):
         integral = integral + (bounded - lasting) * np.minimum(period / g.anti_windup_time, 1.0)
         return self._compensated(wanted), PIDState(integral, velocity, position, reference)
 
-    def limited(self, largest: Any) -> PID:
+    def limited(self, largest: Any) -> "PID":
         """The same controller where the valve receives no command beyond ``largest``, (): no integral winds up."""
         changed = copy(self)
         changed._limit = np.minimum(self._limit, largest)
@@ -144,8 +142,7 @@ class PID(ClassicalController):
     def _feedforward(self, speed: Floats) -> Floats:
         """Command for a speed of the reference in m/s, (N,)."""
         per_speed = np.where(speed > 0.0, self.gains.feedforward_extending, self.gains.feedforward_retracting)
-        command: Floats = per_speed * speed
-        return command
+        return per_speed * speed
 
 
 def _interpolate(time: float, times: Floats, values: Floats) -> Floats:
@@ -155,5 +152,4 @@ def _interpolate(time: float, times: Floats, values: Floats) -> Floats:
     at = min(max(time, float(times[0])), float(times[-1]))
     column = min(max(int(np.searchsorted(times, at)), 1), len(times) - 1)
     weight = (at - times[column - 1]) / (times[column] - times[column - 1])
-    result: Floats = values[:, column - 1] * (1.0 - weight) + values[:, column] * weight
-    return result
+    return values[:, column - 1] * (1.0 - weight) + values[:, column] * weight

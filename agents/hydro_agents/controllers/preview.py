@@ -100,8 +100,7 @@ class Jumps:
         out, back = self._model.full_speeds(force, supply)
         full = np.where(ahead > 0.0, out[:, None], back[:, None])
         early = self._half_share * np.abs(ahead) / full + self._delay
-        total: Floats = np.where(early >= self._times, ahead, 0.0).sum(axis=1)
-        return total
+        return np.where(early >= self._times, ahead, 0.0).sum(axis=1)
 
 
 def braked(error: Floats, near: float) -> Floats:

@@ -16,7 +16,7 @@ from hydro_agents.controllers.by_name import imported
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.errors import reason
+from hydro_env.errors import at, reason
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.mistakes import unknown
 from hydro_env.units import FULL_VOLTAGE
@@ -79,12 +79,12 @@ def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] |
     if not isinstance(make, type) and hasattr(make, "predict"):
         if settings:
             raise ConfigurationError(f"'{kind}': is already a controller and takes no settings")
-        return make  # type: ignore[no-any-return]
+        return make
     if not callable(make):
         raise ConfigurationError(f"'{kind}': needs a method predict, or must be a class or function that makes one")
     try:
         task = (config,) if inspect.signature(make).parameters else ()
-        return make(*task, **(settings or {}))  # type: ignore[no-any-return]
+        return make(*task, **(settings or {}))
     except ConfigurationError:
         raise
     except (Exception, SystemExit) as error:
@@ -146,7 +146,6 @@ def controller_from_gains(path: str | Path, config: TaskConfig) -> Controller:
     Raises:
         ConfigurationError: the file cannot be read, or holds the gains of no controller.
     """
-    try:
-        return controller_with_gains(read_yaml(path), config)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+    gains = read_yaml(path)
+    with at(path):
+        return controller_with_gains(gains, config)

@@ -84,7 +84,7 @@ class SampledLoop:
         gains = np.append(gains[gains < limit], limit)
         first = self._first_unstable(gains)
         if first is None:
-            return float("inf")
+            return np.inf
         if first == 0:
             return 0.0
         low, high = gains[first - 1], gains[first]
@@ -97,7 +97,7 @@ class SampledLoop:
         """Least phase in degrees, lag or lead, that makes the closed loop unstable; infinite if none does."""
         angles = np.arange(0.0, 180.5, 0.5)
         first = self._first_unstable(gain * np.exp(-1j * np.radians(angles)))
-        return float("inf") if first is None else float(angles[max(first - 1, 0)])
+        return np.inf if first is None else float(angles[max(first - 1, 0)])
 
     def frequency_response(self, frequencies: Floats) -> Array:
         """Response of the position to the command at frequencies in Hz, (n,) → m per command (1 = 10 V), (n,)."""
@@ -105,7 +105,7 @@ class SampledLoop:
         inputs = z**-self.late * (self.input_new + self.input_old / z)
         matrix = z[..., None] * np.eye(len(self.transition)) - self.transition
         states = np.linalg.solve(matrix, inputs[..., None])[:, :, 0]
-        return np.asarray(self.position_size * states[:, 0])
+        return self.position_size * states[:, 0]
 
     def step_response(self, gain: float, periods: int) -> Floats:
         """Position after a step of the set point by 1 at the first of some periods, (periods,)."""
@@ -126,7 +126,7 @@ class SampledLoop:
         matrix[:, 0] -= gain * self.position_size * self.b
         answer, *_ = np.linalg.lstsq(matrix, -self.force, rcond=1e-15)
         compliance = -answer[0] * self.position_size
-        return float(1.0 / compliance) if compliance > 1e-12 else float("inf")
+        return float(1.0 / compliance) if compliance > 1e-12 else np.inf
 
 
 def sampled_loop(
@@ -155,21 +155,17 @@ def sampled_loop(
     b = FULL_VOLTAGE * plant.b[rows] / size
     force = plant.force[rows] / size
     late = periods_late(latency, control_period)
-    held = held_inputs(a, b, control_period, min(latency - late * control_period, control_period))
+    within = min(latency - late * control_period, control_period)
+    first, held_first = zero_order_hold(a, b, within)
+    rest, held_rest = zero_order_hold(a, b, control_period - within)
+    held = rest @ first, rest @ held_first, held_rest
     return SampledLoop(*held, a, b, force, float(size[0]), control_period, late)
 
 
 def places_in_reach(parameters: PlantParameters) -> list[float]:
     """Positions in m at which a loop is examined, evenly over 0.9 of the reachable range, ends included."""
-    low, high = (REACH_SHARE * float(end) for end in reachable_range(parameters))
+    low, high = (REACH_SHARE * end for end in reachable_range(parameters))
     return [low + part * (high - low) / (PLACES - 1) for part in range(PLACES)]
-
-
-def held_inputs(a: Floats, b: Floats, period: float, latency: float) -> tuple[Floats, Floats, Floats]:
-    """Φ, Γ_old and Γ_new of a period, in which the command changes after the latency."""
-    first, held_first = zero_order_hold(a, b, latency)
-    rest, held_rest = zero_order_hold(a, b, period - latency)
-    return rest @ first, rest @ held_first, held_rest
 
 
 def zero_order_hold(a: Floats, b: Floats, duration: float) -> tuple[Floats, Floats]:

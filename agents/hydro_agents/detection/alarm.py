@@ -15,8 +15,6 @@ The baseline is the mean of the axis's first looks, without outliers, but never 
 with itself. In an activity without ``learning`` every axis is compared with healthy axes.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 
@@ -58,13 +56,13 @@ class AlarmSettings(Group):
     threshold: float = Field(1.0, gt=0.0, le=1e9, description="of the sum")
 
     @classmethod
-    def load(cls, path: str | Path) -> AlarmSettings:
+    def load(cls, path: str | Path) -> "AlarmSettings":
         """Read the settings of a YAML file.
 
         Raises:
             ConfigurationError: missing or damaged file, unknown key, or an impossible value.
         """
-        return validate(cls, read_yaml(path), str(path))
+        return validate(cls, read_yaml(path), path)
 
     def table(self, field: str) -> Floats:
         """One field of the scales, (activities,)."""

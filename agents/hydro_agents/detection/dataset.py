@@ -1,7 +1,5 @@
 """LabelledWindows of the leakage head's training: simulated axes in many kinds of operation, with faults."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -76,12 +74,12 @@ class LabelledWindows(NamedTuple):
     noise: Floats  # (N,), of the sensors, as a factor on the task's
     disturbance: Floats  # (N,), its range in the window over the noticeable one; 0: none
 
-    def part(self, chosen: Array) -> LabelledWindows:
+    def part(self, chosen: Array) -> "LabelledWindows":
         """Some of the windows."""
         return LabelledWindows._make(values[chosen] for values in self)
 
     @classmethod
-    def joined(cls, parts: Sequence[LabelledWindows]) -> LabelledWindows:
+    def joined(cls, parts: "Sequence[LabelledWindows]") -> "LabelledWindows":
         """Several sets as one."""
         return cls._make(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
@@ -164,7 +162,8 @@ def simulated(
     generator = np.random.default_rng([int(seeds[0]), chunk.row])
     count, changing = chunk.axes, chunk.leak in CHANGING
     sizes, steps = _lengths(generator, settings, config, changing)
-    noise = _noise(generator)
+    noise = float(np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE))))
+    noise = noise if generator.random() < NOISY else 1.0
     task = _task_of(chunk, config, sizes[0], steps, noise)
     leaks = _leaks(generator, config, count)
     fault_share = 0.0 if chunk.disturbed else settings.fault_share
@@ -228,11 +227,6 @@ def _lengths(
     size = int(generator.choice(sizes))
     before = int(generator.integers(shortest)) if generator.random() > AT_START else 0
     return [size], size + before
-
-
-def _noise(generator: np.random.Generator) -> float:
-    noise = float(np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE))))
-    return noise if generator.random() < NOISY else 1.0
 
 
 def _task_of(chunk: Chunk, config: TaskConfig, size: int, steps: int, noise: float) -> TaskConfig:

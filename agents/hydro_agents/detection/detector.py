@@ -14,8 +14,6 @@ takes any detector through this interface. A detector of your own::
             return Reading.of(-np.abs(difference).mean(axis=1))
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -110,13 +108,13 @@ class Windows:
     auxiliary: Mapping[str, Floats] = field(default_factory=dict)  # the recorded ones of AUXILIARY, each (N, T)
 
     @classmethod
-    def of(cls, signals: Array) -> Windows:
+    def of(cls, signals: Array) -> "Windows":
         """Windows (N, 5, T) whose times do not matter."""
         unknown = np.full(len(signals), np.nan)
         return cls(np.asarray(signals, dtype=float), unknown, unknown)
 
     @classmethod
-    def joined(cls, parts: Sequence[Windows]) -> Windows:
+    def joined(cls, parts: "Sequence[Windows]") -> "Windows":
         """Several sets of windows of the same length as one."""
         signals, begin, end = (
             np.concatenate([getattr(part, name) for part in parts]) for name in ("signals", "begin", "end")
@@ -165,7 +163,7 @@ class Windows:
             left.append(name)
         return tuple(left)
 
-    def part(self, chosen: Mask | Indices) -> Windows:
+    def part(self, chosen: Mask | Indices) -> "Windows":
         """Some of the windows."""
         auxiliary = {name: values[chosen] for name, values in self.auxiliary.items()}
         return Windows(self.signals[chosen], self.begin[chosen], self.end[chosen], auxiliary)
@@ -190,7 +188,7 @@ class MeasuredColumns(NamedTuple):
     scale: Floats  # SI units per 1, one for each row
 
     @classmethod
-    def of(cls, config: TaskConfig) -> MeasuredColumns:
+    def of(cls, config: TaskConfig) -> "MeasuredColumns":
         """The columns of a task."""
         layout = ObservationLayout.of(config)
         rows = [row for row, name in enumerate(SIGNALS) if name in layout.names]
@@ -239,7 +237,7 @@ class Reading(NamedTuple):
     why: NDArray[np.int8]  # Why there is no answer
 
     @classmethod
-    def of(cls, score: ArrayLike, cause: ArrayLike | None = None, **known: Any) -> Reading:
+    def of(cls, score: ArrayLike, cause: ArrayLike | None = None, **known: Any) -> "Reading":
         """A reading with some of the fields; all others are unknown.
 
         Args:
@@ -277,18 +275,18 @@ class Reading(NamedTuple):
         """The reason for no answer of each window in words; empty for an answer."""
         return [Why(why).word for why in self.why.tolist()]
 
-    def part(self, chosen: Indices) -> Reading:
+    def part(self, chosen: Indices) -> "Reading":
         """Some of the windows."""
         return Reading._make(values[chosen] for values in self)
 
-    def replaced(self, chosen: Indices, other: Reading) -> Reading:
+    def replaced(self, chosen: Indices, other: "Reading") -> "Reading":
         """This reading with the windows ``chosen`` as another one reads them."""
         copies: list[Any] = [values.copy() for values in self]
         for values, new in zip(copies, other, strict=True):
             values[chosen] = new
         return Reading._make(copies)
 
-    def among(self, chosen: Indices, count: int, why: Why) -> Reading:
+    def among(self, chosen: Indices, count: int, why: Why) -> "Reading":
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""
         return Reading.of(np.full(count, np.nan), why=why).replaced(chosen, self)
 
@@ -318,7 +316,7 @@ class Detector(Protocol):
 def logit(probability: ArrayLike) -> Floats:
     """Logarithm of the odds, finite for 0 and 1."""
     inside = np.clip(np.asarray(probability, dtype=float), 1e-15, 1.0 - 1e-15)
-    return np.asarray(np.log(inside / (1.0 - inside)))
+    return np.log(inside / (1.0 - inside))
 
 
 def threshold_at_false_alarm_rate(healthy_scores: Array, rate: float) -> float:

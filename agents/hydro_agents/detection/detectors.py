@@ -38,7 +38,7 @@ def make_detector(choice: DetectorChoice) -> Detector:
 
         return HeadDetector.load(choice.weights)
     named = imported(ESTIMATOR if choice.kind == "estimator" else choice.kind)
-    detector: Detector = named() if isinstance(named, type) else named
+    detector = named() if isinstance(named, type) else named
     if missing := [part for part in ("threshold", "refuses", "read") if not hasattr(detector, part)]:
         raise ConfigurationError(f"'{choice.kind}': is no leak detector, it has no {', '.join(missing)}")
     return detector

@@ -76,7 +76,7 @@ class Disturbances(NamedTuple):
     def felt(self, begins: Array, samples: int) -> Floats:
         """Ranges of the courses in one window of each axis, over :data:`NOTICEABLE`, the largest; (N,)."""
         ranges = np.ptp(cut(self.course, begins, samples), axis=2)
-        return np.asarray((ranges / NOTICEABLE).max(axis=1))
+        return (ranges / NOTICEABLE).max(axis=1)
 
     def read(self, signals: Array) -> None:
         """Add the drift of the transducers to readings, (N, signals, T) in Pa, in place."""
@@ -112,9 +112,7 @@ class Disturbed:
         if isinstance(self.controller, TrueStateController):
             self.controller.begin(axes)
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Singles, Any]:
+    def predict(self, observation: Any, *memory: Any, **named: Any) -> tuple[Singles, Any]:
         """Commands of the controller; the pressures of this control period are set before it."""
         course, direct = self.disturbances.course[:, :, self._step], self.disturbances.direct
         (relief, tank), supply = self._start[0].T, self._start[1]
@@ -122,4 +120,4 @@ class Disturbed:
         self._axes.coefficient[:, _TANK] = tank + course[:, TANK]
         self._axes.state[direct, _SUPPLY] = (supply * (1.0 + course[:, SUPPLY]))[direct]
         self._step += 1
-        return self.controller.predict(observation, state, episode_start, deterministic)
+        return self.controller.predict(observation, *memory, **named)

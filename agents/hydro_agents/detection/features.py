@@ -23,38 +23,15 @@ LAST_PARTS = 3  # number of last parts of the window whose own leak is a feature
 
 Motion = named_tuple(
     "Motion",
-    (
-        "small_internal_leak",
-        "small_external_leak",
-        "internal_leak_over_deviation",
-        "external_leak_over_deviation",
-        "mean_spool_error",
-        "spread_of_spool_error",
-        "spool_error_over_position",
-        "spool_error_against_direction",
-        "spool_error_at_rest",
-        "mean_pressure_a",
-        "mean_pressure_b",
-        "mean_pressure_difference",
-        "mean_size_of_pressure_difference",
-        "spread_of_pressure_a",
-        "spread_of_pressure_b",
-        "change_of_pressure_a",
-        "change_of_pressure_b",
-        "mean_spool",
-        "mean_size_of_spool",
-        "spread_of_spool",
-        "change_of_spool",
-        "change_of_command",
-        "share_of_full_command",
-        "mean_position",
-        "spread_of_position",
-        "change_of_position",
-        "spring",
-        "force_offset",
-        "friction",
-        "misfit_of_force",
-    ),
+    """
+    small_internal_leak small_external_leak internal_leak_over_deviation external_leak_over_deviation
+    mean_spool_error spread_of_spool_error spool_error_over_position spool_error_against_direction
+    spool_error_at_rest mean_pressure_a mean_pressure_b mean_pressure_difference
+    mean_size_of_pressure_difference spread_of_pressure_a spread_of_pressure_b change_of_pressure_a
+    change_of_pressure_b mean_spool mean_size_of_spool spread_of_spool change_of_spool change_of_command
+    share_of_full_command mean_position spread_of_position change_of_position spring force_offset friction
+    misfit_of_force
+    """,
     __name__,
 )
 """The features of the motion, each a plain number."""

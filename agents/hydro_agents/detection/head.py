@@ -5,11 +5,9 @@ takes the same observations. A small network evaluates the flow balance of the w
 (:mod:`hydro_agents.detection.balance`) and statistics of its motion (:mod:`hydro_agents.detection.features`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -20,11 +18,11 @@ from hydro_agents.detection.detector import SIGNALS, MeasuredColumns
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL, features_of
 from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals, quantiles
 from hydro_agents.detection.sheet import RIG_FEATURES, leak_scale, rig_features, sheet_of
-from hydro_agents.running.weights import load_weights, require, save_weights
+from hydro_agents.running.weights import load_weights, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 from hydro_env.task.sensors import SENSORS, SPOOL
-from hydro_env.types import Array, Floats, Indices, Mask, Singles
+from hydro_env.types import Array, ByName, Floats, Indices, Mask, Singles
 
 KIND = "leakage head"
 
@@ -82,13 +80,12 @@ class HeadSettings(Group):
     longest: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW, description="observations")
     threshold: float = Field(ge=0.0, le=1.0, description="probability of a leak: 1 % false alarms in validation")
     width: int = Field(ge=2, le=LARGEST_WIDTH, description="of the network")
-    training: dict[str, Any]
+    training: ByName
 
     @property
-    def law(self) -> dict[str, Any] | None:
+    def law(self) -> ByName | None:
         """The law of the rigs of the training; ``None``: it has served one rig."""
-        law: dict[str, Any] | None = self.training.get("settings", {}).get("law")
-        return law
+        return self.training.get("settings", {}).get("law")
 
     @property
     def layout(self) -> ObservationLayout:
@@ -185,7 +182,7 @@ class LeakageHead:
         """Whether it was trained on drawn rigs."""
         return self.settings.law is not None
 
-    def moved_to(self, config: TaskConfig) -> LeakageHead:
+    def moved_to(self, config: TaskConfig) -> "LeakageHead":
         """A head for any axis on the rig of another task, with windows of the same durations.
 
         It reads a rig without a spool sensor as well.
@@ -257,7 +254,7 @@ class LeakageHead:
         return LeakageEstimate(*answers.T)
 
     def judge(self, features: Singles) -> Floats:
-        """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
+        """ByName of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
         tensors = self.tensors
         rig = np.tile(self.rig, (len(features), 1))  # empty in a head for one rig
         inputs = standardised(np.concatenate([features, rig], axis=1), tensors["mean"], tensors["scale"])
@@ -305,19 +302,21 @@ class LeakageHead:
         return save_weights(path, KIND, self.tensors, settings | others)
 
     @classmethod
-    def load(cls, path: str | Path) -> LeakageHead:
+    def load(cls, path: str | Path) -> "LeakageHead":
         """Read what ``save`` wrote.
 
         Raises:
             ConfigurationError: missing, damaged or foreign files.
         """
         tensors, settings = load_weights(path, KIND)
-        stored = validate(HeadSettings, settings, str(path))
+        stored = validate(HeadSettings, settings, path)
         known = FEATURES if stored.law is None else FEATURES + RIG_FEATURES
         if settings.get("signals") != list(SIGNALS) or settings.get("features") != list(known):
             raise ConfigurationError(f"{path}: was trained on other signals or features than this version reads")
         if stored.longest < stored.window:
             raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")
         like = tensors_like(stored.width, len(known))
-        require(tensors, like, path)
+        for name, zeros in like.items():
+            if name not in tensors or tensors[name].shape != zeros.shape or not np.isfinite(tensors[name]).all():
+                raise ConfigurationError(f"{path}: tensor '{name}': must be finite, of shape {zeros.shape}")
         return cls({name: tensors[name] for name in like}, stored)

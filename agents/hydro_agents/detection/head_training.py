@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -30,7 +29,7 @@ from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.jobs import run_jobs
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.types import Array, Floats, Singles
+from hydro_env.types import Arrays, ByName, Floats, Singles
 
 NEVER_VARIED, INVALID = 1e-5, FEATURES.index("invalid features")
 RIDGE = 0.05  # added to the covariance of the standardised features before inversion
@@ -43,7 +42,7 @@ FALSE_ALARM_RATE = 0.01
 CHANGING_SHARE = 0.15  # share of the windows that are treated as windows with a changing leak
 OUTSIDE_RATE = 0.01  # share of undisturbed validation windows that each of the two limits of "outside" marks
 
-Progress = Callable[[str, int, int, float], None]
+Progress = Callable[[str, int, int, str], None]  # of phase, amount done, total amount, and a note
 
 
 def make_network(width: int, inputs: int = len(FEATURES), dropout: float = 0.0) -> nn.Sequential:
@@ -57,7 +56,7 @@ def make_network(width: int, inputs: int = len(FEATURES), dropout: float = 0.0) 
     return nn.Sequential(*layers, nn.Linear(sizes[-2], sizes[-1]))
 
 
-def network_tensors(network: nn.Sequential) -> dict[str, Array]:
+def network_tensors(network: nn.Sequential) -> Arrays:
     """Weights and biases of a network, under the names of a head's tensors."""
     linear = [layer for layer in network if isinstance(layer, nn.Linear)]
     tensors = {f"weight_{number}": layer.weight.detach().numpy().copy() for number, layer in enumerate(linear)}
@@ -80,7 +79,7 @@ def train_head(
             rigs have controllers for any axis instead.
         settings: settings of the training.
         seed: seed of data and network.
-        progress: called with the phase, the amount done, the total amount, and the loss (NaN during simulation).
+        progress: called as the work goes on; the note of the training is its loss.
         folder: keeps the simulated windows, and gives those that it has; ``None`` keeps none.
 
     Raises:
@@ -93,7 +92,7 @@ def train_head(
 
     def windows(phase: str, split: str, episodes: int, first_seed: int) -> LabelledWindows:
         jobs = TrainingPlan(config, controllers, settings, split).jobs(episodes, first_seed)
-        found = run_jobs(jobs, folder, lambda _, done, total: tell(phase, done, total, math.nan))
+        found = run_jobs(jobs, folder, lambda _, done, total: tell(phase, done, total, ""))
         for result in found.values():
             if result.error:
                 raise ConfigurationError(result.error)
@@ -123,7 +122,7 @@ def loss_of(output: Tensor, labels: Tensor, size: Tensor) -> Tensor:
     return wrong_label.sum(dim=1).mean() + SIZE_WEIGHT * pinball.sum(dim=0).mean()
 
 
-def fitted(data: LabelledWindows, settings: HeadTrainingSettings, seed: int, progress: Progress) -> dict[str, Array]:
+def fitted(data: LabelledWindows, settings: HeadTrainingSettings, seed: int, progress: Progress) -> Arrays:
     """The tensors of a head whose network has learned from the windows, without thresholds and intervals."""
     features = data.features
     torch.manual_seed(seed)
@@ -148,7 +147,7 @@ def fitted(data: LabelledWindows, settings: HeadTrainingSettings, seed: int, pro
             loss.backward()
             optimiser.step()
             losses.append(float(loss.detach()))
-        progress("training", epoch + 1, settings.epochs, float(np.mean(losses)))
+        progress("training", epoch + 1, settings.epochs, f"loss {np.mean(losses):.4f}")
     return tensors | network_tensors(network)
 
 
@@ -169,7 +168,7 @@ def size_target(size: Floats) -> Singles:
 
 
 def calibrated(
-    tensors: dict[str, Array], config: TaskConfig, longest: int, windows: LabelledWindows, record: dict[str, Any]
+    tensors: Arrays, config: TaskConfig, longest: int, windows: LabelledWindows, record: ByName
 ) -> LeakageHead:
     """The head with thresholds, intervals and the bound of "outside" from validation windows.
 

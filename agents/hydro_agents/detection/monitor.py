@@ -1,18 +1,14 @@
 """The leakage head in use: as a detector of windows, and loaded for a task."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 
-from hydro_agents.controllers.base import check_layout
 from hydro_agents.detection.detector import Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.head import AT_REST, BESIDE_STUCK_SENSOR, LeakageHead
-from hydro_agents.running.folders import pretrained_folder, shipped_weights
+from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.errors import at
 
 HEAD_FILE = "leakage_head"
 
@@ -34,7 +30,7 @@ class HeadDetector:
         self.threshold: float | None = float(logit(head.settings.threshold))
 
     @classmethod
-    def load(cls, path: str | Path | None = None) -> HeadDetector:
+    def load(cls, path: str | Path | None = None) -> "HeadDetector":
         """A head from its weights; default: the shipped one, and the shipped one for any axis on other rigs.
 
         Raises:
@@ -58,9 +54,8 @@ class HeadDetector:
         if self._moved is None or self._moved[0] != task:
             general = LeakageHead.load(self._elsewhere) if self._elsewhere is not None else self.head
             if not general.for_any_axis:
-                other = f"a control period of {1e3 * own.control_period:g} ms"
-                if own.plant != task.plant:
-                    other = "another rig"
+                period = f"a control period of {1e3 * own.control_period:g} ms"
+                other = "another rig" if own.plant != task.plant else period
                 raise ConfigurationError(f"the leakage head was trained for {other}")
             self._moved = task, general.moved_to(task)
         return self._moved[1]
@@ -100,19 +95,3 @@ class HeadDetector:
             fault=faults,
             why=np.where(still, Why.AT_REST, np.where(outside, Why.OUTSIDE, Why.ANSWERED)),
         )
-
-
-def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
-    """Weights of a leakage head, the shipped ones for the rig by default, checked against the task.
-
-    Raises:
-        ConfigurationError: the task's observations differ, or its episodes are shorter than the head's window.
-    """
-    path = path or shipped_weights(HEAD_FILE, config)
-    head = HeadDetector(LeakageHead.load(path)).on(config)
-    with at(str(path)):
-        check_layout(head.settings.layout, config)
-    if head.settings.window > config.steps:
-        reads = f"reads at least {head.settings.window} observations, an episode has {config.steps}"
-        raise ConfigurationError(f"{path}: {reads}")
-    return head

@@ -1,16 +1,14 @@
 """Operations of simulated axes: their motions, and who acts on them; those of the head's training, and unseen ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hydro_agents.controllers.base import Controller, Observation, ObservationLayout, as_batch
 from hydro_env import TaskConfig, task_config
-from hydro_env.types import Floats, Mask, Singles
+from hydro_env.types import Floats, Singles
 
 Span = tuple[float, float]
 Change = Callable[[TaskConfig], TaskConfig]
@@ -61,16 +59,9 @@ class _Operator:
         self.layout, self.control_period = ObservationLayout.of(config), config.control_period
         self.stroke = config.plant.cylinder.stroke
 
-    def predict(
-        self,
-        observation: Observation,
-        state: bool | None = None,
-        episode_start: Mask | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Singles, bool]:
+    def predict(self, observation: Observation, state: Any = None, *_: Any, **__: Any) -> tuple[Singles, bool]:
         """Commands (N, 1) of one control period, the first without ``state``; the arguments are a controller's."""
-        del episode_start, deterministic
-        batch, _ = as_batch(observation)
+        batch = as_batch(observation)[0]
         error = self.layout.si(batch, "tracking_error") / self.stroke
         if state is None:
             self.time, self.holding = 0, self.layout.si(batch, "previous_command")  # control periods; (N,)
@@ -112,7 +103,7 @@ class Operation(_Operator):
         new_level = (time % np.maximum(self.period // 2, 1)) == 0
         self.level = np.where(new_level, self.generator.uniform(-1.0, 1.0, len(error)), self.level)
         shapes = np.stack([np.sin(2.0 * np.pi * phase), np.where(phase < 0.5, 1.0, -1.0), self.level])
-        return np.asarray(self.holding + self.decided + self.amplitude * shapes[self.wave, axes])
+        return self.holding + self.decided + self.amplitude * shapes[self.wave, axes]
 
 
 class _Unseen(_Operator):
@@ -121,7 +112,7 @@ class _Unseen(_Operator):
     A law gives the commands (N,) relative to the holding command from this object and the error in strokes.
     """
 
-    def __init__(self, law: Callable[[_Unseen, Floats], Floats], config: TaskConfig, count: int, seed: int):
+    def __init__(self, law: "Callable[[_Unseen, Floats], Floats]", config: TaskConfig, count: int, seed: int):
         super().__init__(config)
         self.law = law
         self.numbers = np.random.default_rng([seed, 7]).random((4, count))
@@ -132,14 +123,14 @@ class _Unseen(_Operator):
     def act(self, error: Floats) -> Floats:
         self.command = self.law(self, error)
         self.last = error
-        return np.asarray(self.holding + self.command)
+        return self.holding + self.command
 
 
 def _sliding_mode(axes: _Unseen, error: Floats) -> Floats:
     """A switching surface of error and speed of the error, with a boundary layer (Slotine and Li, 1991, chapter 7)."""
     lead, layer, size, _ = axes.numbers
     surface = error + (0.005 + 0.02 * lead) * (error - axes.last) / axes.control_period
-    return np.asarray((0.1 + 0.5 * size) * np.tanh(surface / (0.002 + 0.01 * layer)))
+    return (0.1 + 0.5 * size) * np.tanh(surface / (0.002 + 0.01 * layer))
 
 
 def _three_step(axes: _Unseen, error: Floats) -> Floats:
@@ -153,7 +144,7 @@ def _swept_sine(axes: _Unseen, error: Floats) -> Floats:
     """A sine of rising frequency in open loop, like in a measurement of the frequency response."""
     time, rate = axes.time * axes.control_period, 1.0 + 4.0 * axes.numbers[1]
     size = 0.03 + 0.2 * axes.numbers[0]
-    return np.asarray(0.2 * error + size * np.sin(2.0 * np.pi * (1.0 + 0.5 * rate * time) * time))
+    return 0.2 * error + size * np.sin(2.0 * np.pi * (1.0 + 0.5 * rate * time) * time)
 
 
 def ordinary(config: TaskConfig) -> TaskConfig:

@@ -81,7 +81,7 @@ def leak_scale(config: TaskConfig) -> float:
 
 
 def _full_flow(plant: PlantParameters) -> float:
-    return float(plant_coefficients(plant).area_a * full_speed(plant))
+    return plant_coefficients(plant).area_a * full_speed(plant)
 
 
 RIG_FEATURES = (

@@ -1,7 +1,5 @@
 """Compares controllers on the same cases: ratios, shares and probabilities, each with its interval."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -36,18 +34,18 @@ class Sample(NamedTuple):
     def expected(self) -> Floats:
         """Mean over the training seeds that have the case, (U, K)."""
         with np.errstate(invalid="ignore"):
-            return np.asarray(np.nansum(self.values, axis=0) / (~np.isnan(self.values)).sum(axis=0))
+            return np.nansum(self.values, axis=0) / (~np.isnan(self.values)).sum(axis=0)
 
     @property
     def plants(self) -> int:
         """Number of plants with a case."""
         return int(self.present.any(axis=1).sum())
 
-    def where(self, kept: Mask) -> Sample:
+    def where(self, kept: Mask) -> "Sample":
         """The same without the values of other cases."""
         return self._replace(values=np.where(kept, self.values, np.nan))
 
-    def part(self, rows: Mask, columns: Mask) -> Sample:
+    def part(self, rows: Mask, columns: Mask) -> "Sample":
         """The same on a part of its plants and situations."""
         weights = self.weights._replace(plants=self.weights.plants[:, rows])
         return Sample(self.values[:, rows][:, :, columns], weights)
@@ -60,18 +58,18 @@ class Grid:
     """
 
     def __init__(self, cases: pd.DataFrame) -> None:
-        self.controllers = [str(name) for name in cases["controller"].unique()]
+        self.controllers = cases["controller"].unique().tolist()
         plants = cases[["family", "plant"]].drop_duplicates()
         situations = cases[["condition", "leakage_flow_lpm"]].drop_duplicates()
-        self.family: NDArray[np.str_] = plants["family"].to_numpy().astype(str)
-        self.condition: NDArray[np.str_] = situations["condition"].to_numpy().astype(str)
+        self.family = plants["family"].to_numpy().astype(str)
+        self.condition = situations["condition"].to_numpy().astype(str)
         self.leak = situations["leakage_flow_lpm"].to_numpy(dtype=float)
-        self.all_plants: Mask = np.ones(len(plants), dtype=bool)
-        self.all_situations: Mask = np.ones(len(situations), dtype=bool)
+        self.all_plants = np.ones(len(plants), dtype=bool)
+        self.all_situations = np.ones(len(situations), dtype=bool)
         self._plant = _places(plants, cases)
         self._situation = _places(situations, cases)
         self._cases = cases
-        self._of: dict[str, Mask] = {name: (cases["controller"] == name).to_numpy() for name in self.controllers}
+        self._of = {name: (cases["controller"] == name).to_numpy() for name in self.controllers}
         self._plant_weights = plant_weights(self.family)
         self._made: dict[tuple[str, str], Floats] = {}
 
@@ -133,7 +131,7 @@ class Grid:
         row: dict[str, float] = {}
         for name, resampled in statistics.items():
             row |= interval(resampled, mine.plants).named(name)
-        row["worst_ratio"] = float(np.nanmax(ratios, initial=-np.inf)) if mine.plants else np.nan
+        row["worst_ratio"] = np.nanmax(ratios, initial=-np.inf) if mine.plants else np.nan
         for name, metric in COMPARED.items():
             row[name] = _ratio(*self.pair(controller, against, metric.name, plants, situations))
         return row | {"cases": int((~np.isnan(mine.values)).sum())}
@@ -148,8 +146,7 @@ class Grid:
 
 def _places(known: pd.DataFrame, rows: pd.DataFrame) -> NDArray[np.intp]:
     """For each row the place of its values among known ones of the same columns."""
-    places = pd.MultiIndex.from_frame(known).get_indexer(pd.MultiIndex.from_frame(rows[list(known)]))
-    return np.asarray(places)
+    return pd.MultiIndex.from_frame(known).get_indexer(pd.MultiIndex.from_frame(rows[list(known)]))
 
 
 def _ratios(mine: Sample, theirs: Sample, kinds: list[tuple[Mask, Mask]]) -> Floats:
@@ -164,12 +161,12 @@ def _ratios(mine: Sample, theirs: Sample, kinds: list[tuple[Mask, Mask]]) -> Flo
 
 def _geometric_mean(ratios: Floats) -> Floats:
     """Over the rows, all with the same weight."""
-    return np.asarray(np.exp(np.mean(np.log(ratios), axis=0)))
+    return np.exp(np.mean(np.log(ratios), axis=0))
 
 
 def _ratio(mine: Sample, theirs: Sample) -> float:
     """Ratio of the means of a metric; NaN without cases, and to a mean of zero."""
     if not mine.plants:
-        return float("nan")
+        return np.nan
     own, base = float(np.nanmean(mine.values)), float(np.nanmean(theirs.values))
-    return own / base if base != 0.0 else float("nan")
+    return own / base if base != 0.0 else np.nan

@@ -7,35 +7,22 @@
 
 import hashlib
 import json
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar
 
-import pandas as pd
 from pydantic import Field, StringConstraints
 
-from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.jobs import Job
 from hydro_agents.running.tasks import Surroundings, mappings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import at
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.mistakes import kept, refuse, unknown
-
-
-@contextmanager
-def beginning() -> Iterator[None]:
-    """An error at the start of its runs names the condition; one of a controller stays its own."""
-    try:
-        yield
-    except ControllerError:
-        raise
-    except ConfigurationError as error:
-        raise ConfigurationError(f"the condition cannot begin: {error}") from None
+from hydro_env.mistakes import kept, refuse
+from hydro_env.types import ByName
 
 
 @dataclass(frozen=True)
@@ -52,17 +39,6 @@ class Cell:
     known: Mapping[str, Any] = field(default_factory=dict)  # first columns of its rows: one value, or one per row
     jobs: tuple[Job, ...] = ()  # their columns follow each other
     refused: str = ""
-
-
-def refuse_unknown(key: str, names: Collection[str], known: Collection[str], what: str) -> None:
-    """Check that a key of a protocol has known names.
-
-    Raises:
-        ValueError: a name is unknown.
-    """
-    for name in names:
-        if name not in known:
-            raise ValueError(f"{key}: {unknown(name, known, what)}")
 
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
@@ -95,7 +71,7 @@ class Protocol(Group, Generic[AnyCondition]):
         raise NotImplementedError
 
     @classmethod
-    def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
+    def prepare(cls, values: ByName, file: Path, errors: list[ConfigurationError]) -> None:
         """Replace what a kind of protocol names by its content, such as files beside its own; errors are collected."""
 
     @classmethod
@@ -116,9 +92,9 @@ class Protocol(Group, Generic[AnyCondition]):
                 if isinstance(condition.get("rig"), str):
                     condition["rig"] = str(config_file("rigs", condition.pop("rig"), file.parent))
         with kept(errors):
-            protocol = validate(cls, values, str(path))
-        refuse(errors, str(path))
-        with at(str(path)):
+            protocol = validate(cls, values, path)
+        refuse(errors, path)
+        with at(path):
             _ = protocol.tasks
         return protocol
 
@@ -147,10 +123,6 @@ class Protocol(Group, Generic[AnyCondition]):
         refuse(errors, "conditions")
         return tasks
 
-    def task_in(self, name: str) -> TaskConfig:
-        """The task under a condition."""
-        return self.tasks[name]
-
     def changed_task(self, name: str) -> TaskConfig:
         """The task of the protocol with the changes of a condition.
 
@@ -159,19 +131,16 @@ class Protocol(Group, Generic[AnyCondition]):
         """
         return self.conditions[name].task_on(self.task, f"conditions.{name}")
 
-    def known_of(self, name: str) -> dict[str, Any]:
-        """Further columns of a condition in :meth:`table`; each kind has its own."""
+    def known_of(self, name: str) -> ByName:
+        """Further columns of a condition in :meth:`rows`; each kind has its own."""
         raise NotImplementedError
 
-    def table(self) -> pd.DataFrame:
+    def rows(self) -> Iterator[ByName]:
         """One row per condition: group, label, changes (JSON), and what its kind tells."""
-        rows = []
         for name, condition in self.conditions.items():
             changes = condition.model_dump(mode="json", exclude_defaults=True, exclude=set(self.unchanged))
             row = {"condition": name, "group": condition.group, "label": condition.label or name}
-            row["changes"] = json.dumps(changes, ensure_ascii=False)
-            rows.append(row | self.known_of(name))
-        return pd.DataFrame(rows)
+            yield row | {"changes": json.dumps(changes, ensure_ascii=False)} | self.known_of(name)
 
     @cached_property
     def sha256(self) -> str:

@@ -1,9 +1,7 @@
 """Leakage protocols: detectors under conditions, each an operation of the axes, faults, and changes of the task."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -12,17 +10,17 @@ from hydro_agents.controllers.by_name import imported
 from hydro_agents.detection.detector import Detector, Windows, cut, measured_run
 from hydro_agents.detection.detectors import DetectorChoice
 from hydro_agents.detection.operations import ACTING, MOTIONS, UNSEEN
-from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol, beginning, refuse_unknown
+from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
 from hydro_agents.running.tasks import Surroundings, between
 from hydro_env import TaskConfig
 from hydro_env.files import whole_group
-from hydro_env.mistakes import known_name
+from hydro_env.mistakes import known_name, refuse_unknown
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
-from hydro_env.types import Floats
+from hydro_env.types import ByName, Floats
 from hydro_env.units import Number
 
 HEALTHY = 0.0  # level of leaks that are drawn from the healthy range of the task
@@ -52,7 +50,7 @@ class LeakCondition(Condition):
     )
 
     @whole_group
-    def _known(self) -> LeakCondition:
+    def _known(self) -> "LeakCondition":
         for name, size in self.faults.items():
             low, high = fault_limits(name)
             if not low <= size <= high:
@@ -79,7 +77,7 @@ class LeakProtocol(Protocol[LeakCondition]):
     base: Name = Field("ordinary", description="the condition with all leak sizes, to which the others are compared")
 
     @whole_group
-    def _consistent(self) -> LeakProtocol:
+    def _consistent(self) -> "LeakProtocol":
         refuse_unknown("base", (self.base,), self.conditions, "condition")
         refuse_unknown("bound_conditions", self.bound_conditions, self.conditions, "condition")
         for name, condition in self.conditions.items():
@@ -112,14 +110,9 @@ class LeakProtocol(Protocol[LeakCondition]):
         """Leak levels of a condition."""
         return self.conditions[name].levels or self.levels
 
-    def reads(self, name: str, detector: str) -> bool:
-        """Whether a detector reads the windows of a condition."""
-        chosen = self.conditions[name].detectors
-        return chosen is None or detector in chosen
-
     def cases_in(self, name: str, level: float, count: int, validation: bool = False) -> Cases:
         """The first ``count`` cases of a level; every level and condition has the same plants."""
-        condition, task = self.conditions[name], self.task_in(name)
+        condition, task = self.conditions[name], self.tasks[name]
         ledger = LEAK_THRESHOLDS if validation else LEAKAGE
         seeds, flow = np.array(ledger.take(count)), np.full(count, level)
         if level == HEALTHY:
@@ -129,7 +122,7 @@ class LeakProtocol(Protocol[LeakCondition]):
         faults = {fault: np.full(count, size) for fault, size in condition.faults.items()}
         return Cases(seeds, flow, None, condition.parameters_on(task) or None, faults or None)
 
-    def known_of(self, name: str) -> dict[str, Any]:
+    def known_of(self, name: str) -> ByName:
         """See :meth:`~hydro_agents.evaluation.conditions.Protocol.known_of`."""
         condition = self.conditions[name]
         known = condition.model_dump(include={"acting", "motion", "begins"})
@@ -142,9 +135,9 @@ READ = ("score", "flow_lpm", "low_lpm", "high_lpm")  # of a reading, NaN without
 def windows(protocol: LeakProtocol, chosen: Mapping[str, Detector]) -> Iterator[Cell]:
     """Every detector on the windows of every condition; healthy validation windows of the base set its threshold."""
     for name, condition in protocol.conditions.items():
-        samples = round(condition.duration / protocol.task_in(name).control_period)
+        samples = round(condition.duration / protocol.tasks[name].control_period)
         for reader, detector in chosen.items():
-            reads = protocol.reads(name, reader)
+            reads = condition.detectors is None or reader in condition.detectors
             reason = detector.refuses(protocol.known_task(name), samples) if reads else ""
             if name == protocol.base and detector.threshold is None and (reason or not reads):
                 reason = "no threshold: it reads no healthy validation windows"
@@ -161,7 +154,7 @@ def _cells(protocol: LeakProtocol, name: str, reader: str, detector: Detector, s
     if name == protocol.base:
         groups.append((HEALTHY, choice.validation_windows, True))
     for level, number, validation in groups:
-        fixed = (protocol.task_in(name), protocol.known_task(name), condition.acting, samples)
+        fixed = (protocol.tasks[name], protocol.known_task(name), condition.acting, samples)
         cases = protocol.cases_in(name, level, number, validation).chunks(choice.batch)
         jobs = tuple(Job(read, detector, (*fixed, part), digest) for part in cases)
         place = {"detector": reader, "condition": name, "level": level, "validation": validation}
@@ -173,21 +166,16 @@ def read(detector: Detector, config: TaskConfig, known: TaskConfig, acting: str,
 
     Returns:
         The columns of :func:`simulated_windows`, those of :data:`READ` and ``otherwise``, each (N,).
-
-    Raises:
-        ControllerError: the controller of the axes failed.
-        ConfigurationError: a run cannot begin.
     """
-    with beginning():
-        signals, columns = simulated_windows(config, acting, cases, samples)
-        for name in (*READ, "otherwise"):
-            columns[name] = np.full(len(cases), np.nan)
-        good = np.flatnonzero(columns["failed"] == 0.0)
-        if len(good):
-            reading = detector.read(Windows.of(signals[good]), known)
-            for name in READ:
-                columns[name][good] = np.where(reading.answers, getattr(reading, name), np.nan)
-            columns["otherwise"][good] = reading.cause
+    signals, columns = simulated_windows(config, acting, cases, samples)
+    for name in (*READ, "otherwise"):
+        columns[name] = np.full(len(cases), np.nan)
+    good = np.flatnonzero(columns["failed"] == 0.0)
+    if len(good):
+        reading = detector.read(Windows.of(signals[good]), known)
+        for name in READ:
+            columns[name][good] = np.where(reading.answers, getattr(reading, name), np.nan)
+        columns["otherwise"][good] = reading.cause
     return columns
 
 
@@ -205,10 +193,10 @@ def simulated_windows(config: TaskConfig, acting: str, cases: Cases, samples: in
     signals, run = measured_run(config, controller, cases)
     spare = config.steps - samples
     places = [np.random.default_rng([int(seed), 13]).integers(spare // 2, spare + 1) for seed in cases.seeds]
-    error = 1e3 * np.abs(run.position.astype(np.float64) - run.reference).mean(axis=1)
+    error = 1e3 * np.abs(run.position.astype(float) - run.reference).mean(axis=1)
     return cut(signals, np.array(places), samples), {
-        "seed": cases.seeds.astype(np.float64),
-        "leak_lpm": run.leakage_flow_lpm.astype(np.float64),
+        "seed": cases.seeds.astype(float),
+        "leak_lpm": run.leakage_flow_lpm.astype(float),
         "error_mm": error,
-        "failed": (run.failed_at >= 0).astype(np.float64),
+        "failed": (run.failed_at >= 0).astype(float),
     }

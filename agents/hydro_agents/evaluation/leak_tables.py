@@ -11,7 +11,7 @@ import pandas as pd
 
 from hydro_agents.detection.detector import Cause, threshold_at_false_alarm_rate
 from hydro_agents.evaluation.leak_protocol import HEALTHY
-from hydro_agents.evaluation.runner import Results, table
+from hydro_agents.evaluation.runner import Results, Rows, table
 from hydro_agents.running.statistics import Interval, share_interval
 
 FALSE_ALARM_RATE = 0.01
@@ -22,17 +22,16 @@ SECONDS_PER_HOUR = 3600.0
 
 
 @table("thresholds")
-def thresholds(results: Results) -> pd.DataFrame:
+def thresholds(results: Results) -> Rows:
     """For each detector: the threshold at 1 % false alarms on healthy validation windows, and the threshold in use."""
-    read, rows = results.part("windows"), []
+    read = results.part("windows")
     for name, detector in results.participants.items():
         score = read.loc[read["validation"] & (read["detector"] == name), "score"].to_numpy()
         found = np.nan  # a detector that cannot read these windows
         if len(score):
             found = threshold_at_false_alarm_rate(np.nan_to_num(score, nan=-np.inf), FALSE_ALARM_RATE)
         used = found if detector.threshold is None else detector.threshold
-        rows.append({"detector": name, "at_1_percent": found, "used": used, "windows": len(score)})
-    return pd.DataFrame(rows)
+        yield {"detector": name, "at_1_percent": found, "used": used, "windows": len(score)}
 
 
 @table("windows")
@@ -77,35 +76,30 @@ def _cells(results: Results) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
 
 
 @table("detection")
-def detection(results: Results) -> pd.DataFrame:
+def detection(results: Results) -> Rows:
     """Share of windows reported as a leak past the piston, with the detector's threshold and with the one at 1 %.
 
     ``per_hour``: for consecutive windows without overlap.
     """
-    rows = []
     for cell, frame in _cells(results):
         flagged = share(frame["flagged"])
         windows_per_hour = SECONDS_PER_HOUR / results.protocol.conditions[cell["condition"]].duration
-        rows.append(
-            cell
-            | flagged.named("flagged")
-            | share(frame["at_1_percent"]).named("at_1_percent")
-            | {
-                "cannot_tell": float((frame["verdict"] == Cause.UNKNOWN).mean()),
-                "per_hour": flagged.value * windows_per_hour,
-                "windows": len(frame),
-            }
-        )
-    return pd.DataFrame(rows)
+        yield {
+            **cell,
+            **flagged.named("flagged"),
+            **share(frame["at_1_percent"]).named("at_1_percent"),
+            "cannot_tell": float((frame["verdict"] == Cause.UNKNOWN).mean()),
+            "per_hour": flagged.value * windows_per_hour,
+            "windows": len(frame),
+        }
 
 
 @table("sizes")
-def sizes(results: Results) -> pd.DataFrame:
+def sizes(results: Results) -> Rows:
     """Errors of the size and coverage of the 90 % intervals, over windows in which the detector gives an answer."""
     bounds = {}
     if len(bound := results.part("bound")):
         bounds = bound.groupby(["condition", "level"])["sigma_lpm"].median().to_dict()
-    rows = []
     for cell, frame in _cells(results):
         row = cell | _errors_of_size(frame, cell["level"])
         row["bound_lpm"] = bounds.get((cell["condition"], cell["level"]), np.nan)
@@ -113,8 +107,7 @@ def sizes(results: Results) -> pd.DataFrame:
         if cell["level"] > 0.0:
             row["bound_rms_log10"] = row["bound_lpm"] / cell["level"] / np.log(10.0)
         row["ratio_to_bound"] = row["rms_log10"] / row["bound_rms_log10"]
-        rows.append(row)
-    return pd.DataFrame(rows)
+        yield row
 
 
 def _errors_of_size(frame: pd.DataFrame, level: float) -> dict[str, Any]:

@@ -1,11 +1,9 @@
 """The controllers of a protocol, and those for single conditions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import controller_with_gains
@@ -20,22 +18,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Participants:
-    """Controllers by name, the baseline first; ``special`` holds those for one condition, by (name, condition)."""
+    """Controllers by name, the baseline first."""
 
     controllers: Mapping[str, Controller]
-    special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
     corrects: Mapping[str, str] = field(default_factory=dict)  # names of policies and of what they correct
 
-    def of(self, name: str, condition: str, protocol: RobustnessProtocol) -> Controller | str:
+    def of(self, name: str, condition: str, protocol: "RobustnessProtocol") -> Controller | str:
         """The controller that runs under a condition, or the reason why none can.
 
-        Without a controller for this condition, the general one runs if the observations are those that it knows.
+        The protocol may name one for this condition; else the general one runs if it knows such observations.
+
+        Raises:
+            ConfigurationError: the controller for this condition cannot be made.
         """
-        if (name, condition) in self.special:
-            return self.special[name, condition]
-        if protocol.conditions[condition].rig is not None:
+        entry, task = protocol.conditions[condition], protocol.tasks[condition]
+        if name in entry.controllers:
+            with at(f"conditions.{condition}.controllers.{name}"):
+                what = entry.controllers[name]
+                return load_controller(what if isinstance(what, str) else controller_with_gains(what, task), task, name)
+        if entry.rig is not None:
             return "no controller of this name is tuned for this rig"
-        here, known = ObservationLayout.of(protocol.task_in(condition)), ObservationLayout.of(protocol.task)
+        here, known = ObservationLayout.of(task), ObservationLayout.of(protocol.task)
         if here.control_period != known.control_period:
             return f"no controller of this name is tuned for a control period of {1e3 * here.control_period:g} ms"
         if here != known:
@@ -45,7 +48,7 @@ class Participants:
 
 def participants(
     controllers: Mapping[str, Controller | str | Path],
-    protocol: RobustnessProtocol,
+    protocol: "RobustnessProtocol",
     corrects: Mapping[str, str] | None = None,
 ) -> Participants:
     """Make the controllers of a protocol.
@@ -54,7 +57,7 @@ def participants(
         controllers: by name, objects with ``predict`` or texts of
             :func:`~hydro_agents.learning.loading.load_controller`. The first one is the baseline. ``NAME#0``,
             ``NAME#1``, … are training seeds of one controller.
-        protocol: the protocol, which may name controllers for single conditions.
+        protocol: the protocol.
         corrects: names of policies and of what they correct.
 
     Raises:
@@ -68,15 +71,7 @@ def participants(
         if same != name:
             raise ConfigurationError(f"controllers '{same}' and '{name}': name the same training seed of a controller")
     ready = {name: load_controller(what, protocol.task, name) for name, what in controllers.items()}
-    made: dict[tuple[str, str], Controller] = {}
-    for condition, entry in protocol.conditions.items():
-        task = protocol.task_in(condition)
-        for name, what in entry.controllers.items():
-            if name in ready:
-                with at(f"conditions.{condition}.controllers.{name}"):
-                    chosen: Any = what if isinstance(what, str) else controller_with_gains(what, task)
-                    made[name, condition] = load_controller(chosen, task, name)
-    return Participants(ready, made, corrects or {})
+    return Participants(ready, corrects or {})
 
 
 def split_name(name: str) -> tuple[str, int]:

@@ -1,7 +1,5 @@
 """Robustness protocols: controllers on paired cases under conditions, each a set of changes of task, leak and plant."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
@@ -12,7 +10,7 @@ import pandas as pd
 from pydantic import AfterValidator, Field
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.conditions import Cell, Condition, Protocol, beginning
+from hydro_agents.evaluation.conditions import Cell, Condition, Protocol
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.running.cases import Cases, run_cases
@@ -26,6 +24,7 @@ from hydro_env.mistakes import kept, known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.rig import merged
+from hydro_env.types import ByName
 from hydro_env.units import Number
 
 FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count >= len(REFERENCE_FAMILIES) * SEEDS_PER_FAMILY]
@@ -51,7 +50,7 @@ class PairedCondition(Condition):
     leak_levels: Levels | None = Field(None, description="l/min at 100 bar; default: protocol")
     families: Families | None = Field(None, description="default: those of the protocol")
     plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
-    controllers: dict[str, str | dict[str, Any]] = Field(
+    controllers: dict[str, str | ByName] = Field(
         {}, description="by name; controllers for this condition: as in --agent, or the path of a file of gains"
     )
 
@@ -92,7 +91,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
     )
 
     @whole_group
-    def _possible(self) -> RobustnessProtocol:
+    def _possible(self) -> "RobustnessProtocol":
         if "all" in self.conditions:
             raise ValueError("conditions: 'all' is the name of their mean")
         return self
@@ -100,9 +99,9 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
     def cells(self, chosen: Participants) -> Iterator[Cell]:
         """Every controller on the cases of every condition, and after a small step of the reference and back."""
         for name in self.conditions:
-            yield from self._cells("cases", tracked, chosen, name, self.task_in(name), self.cases_in(name))
+            yield from self._cells("cases", tracked, chosen, name, self.tasks[name], self.cases_in(name))
         for name in self.conditions if self.standstill_plants else ():
-            still, cases = standstill_task(self.task_in(name)), self.standstill_cases_in(name)
+            still, cases = standstill_task(self.tasks[name]), self.standstill_cases_in(name)
             yield from self._cells("limit_cycles", at_rest, chosen, name, still, cases)
 
     def _cells(
@@ -129,7 +128,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
             yield Cell(table, name, condition, {**known, "controller": controller, "training_seed": seed}, jobs)
 
     @classmethod
-    def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
+    def prepare(cls, values: ByName, file: Path, errors: list[ConfigurationError]) -> None:
         """Read the gains of controllers for a condition."""
         for condition in mappings(values.get("conditions")).values():
             chosen: Any = condition.get("controllers")
@@ -164,31 +163,23 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
             table["seed"].to_numpy(np.int64),
             table["leakage_flow_lpm"].to_numpy(np.float64),
             None if (families == "user").all() else families,
-            self.conditions[name].parameters_on(self.task_in(name)),
+            self.conditions[name].parameters_on(self.tasks[name]),
         )
 
-    def known_of(self, name: str) -> dict[str, Any]:
+    def known_of(self, name: str) -> ByName:
         """See :meth:`~hydro_agents.evaluation.conditions.Protocol.known_of`."""
-        return {"control_period_s": self.task_in(name).control_period, "cases": len(self.cases_in(name))}
+        return {"control_period_s": self.tasks[name].control_period, "cases": len(self.cases_in(name))}
 
 
 def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
-    """The metrics of cases under a controller.
-
-    Raises:
-        ControllerError: the controller failed.
-        ConfigurationError: an episode cannot begin.
-    """
-    with beginning():
-        rollout = run_cases(config, controller, cases)
+    """The metrics of cases under a controller."""
+    rollout = run_cases(config, controller, cases)
     families = np.full(len(cases), "user") if cases.families is None else cases.families
     preview = max(config.references.preview_times, default=0.0)
     metrics = rollout_metrics(rollout, families, config.control_period, preview)
-    return {name: values.astype(np.float64) for name, values in metrics.items()}
+    return {name: values.astype(float) for name, values in metrics.items()}
 
 
 def at_rest(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
     """Limit cycles of cases whose task is a standstill."""
-    with beginning():
-        rollout = run_cases(config, controller, cases)
-    return standstill_metrics(rollout, config)
+    return standstill_metrics(run_cases(config, controller, cases), config)

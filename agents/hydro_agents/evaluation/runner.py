@@ -3,14 +3,12 @@
 A table is a function of the results, registered by its name in a module of a kind of protocols::
 
     @table("ranking")
-    def ranking(results: Results) -> pd.DataFrame: ...
+    def ranking(results: Results) -> pd.DataFrame: ...  # or an iterator of rows
 
 The rows of the jobs are tables too, named by ``parts`` of the protocol.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
@@ -49,7 +47,7 @@ class Results:
         return self.rows.get(name, pd.DataFrame())
 
     @cached_property
-    def grid(self) -> Grid:
+    def grid(self) -> "Grid":
         """The cases of the controllers as arrays."""
         from hydro_agents.evaluation.comparison import Grid  # of controllers alone
 
@@ -63,7 +61,7 @@ class Results:
     def table(self, name: str) -> pd.DataFrame:
         """A table by the name of its CSV file; it is made once."""
         if name not in self._made:
-            self._made[name] = tables_of(self.protocol)[name](self)
+            self._made[name] = pd.DataFrame(tables_of(self.protocol)[name](self))
         return self._made[name]
 
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -87,7 +85,8 @@ class Results:
         return [f"{row[self.protocol.who]} under {row['condition']}: {row['message']}" for row in failed]
 
 
-TableFunction = Callable[[Results], pd.DataFrame]
+Rows = Iterator[dict[str, Any]]
+TableFunction = Callable[[Results], pd.DataFrame | Rows]
 _TABLES: dict[str, dict[str, TableFunction]] = {}
 _MODULES = {"robustness": "tracking_tables", "leakage": "leak_tables"}  # modules with the tables of a kind of protocol
 
@@ -111,9 +110,9 @@ def facts(results: Results) -> pd.DataFrame:
 
 
 @table("conditions")
-def conditions(results: Results) -> pd.DataFrame:
+def conditions(results: Results) -> Rows:
     """One row per condition: its changes of the task, and how it is shown."""
-    return pd.DataFrame(results.protocol.table())
+    yield from results.protocol.rows()
 
 
 @table("status")
@@ -170,27 +169,19 @@ def collect(
 
     A participant that failed in one table has no rows of this condition in the others.
     """
-    failed: dict[tuple[str, str, str], str] = {}  # the first error by table, participant and condition
-    for cell, own in zip(cells, answers, strict=True):
-        for answer in own:
-            if answer.error:
-                failed.setdefault((cell.table, cell.participant, cell.condition), answer.error)
-    without_rows = {key[1:] for key in failed}
-    frames: dict[str, list[pd.DataFrame]] = {}
-    refused, ran = [], []
+    told: dict[tuple[str, str], tuple[str, str]] = {}  # status and first error by participant and condition
     for cell, own in zip(cells, answers, strict=True):
         place = cell.participant, cell.condition
-        if cell.refused:
-            refused.append((*place, NOT_APPLICABLE, cell.refused))
-            continue
-        error = failed.get((cell.table, *place), "")
-        ran.append((*place, FAILED if error else DONE, error))
-        if own and place not in without_rows:
+        error = cell.refused or next((answer.error for answer in own if answer.error), "")
+        status = FAILED if error else DONE
+        if told.get(place, (DONE, ""))[0] == DONE:
+            told[place] = NOT_APPLICABLE if cell.refused else status, error
+    frames: dict[str, list[pd.DataFrame]] = {}
+    for cell, own in zip(cells, answers, strict=True):
+        if own and told[cell.participant, cell.condition][0] == DONE:
             metrics = [answer.metrics for answer in own]
-            columns = {name: np.concatenate([each[name] for each in metrics]) for name in metrics[0]}
-            frames.setdefault(cell.table, []).append(pd.DataFrame({**cell.known, **columns}))
+            own_columns = {name: np.concatenate([each[name] for each in metrics]) for name in metrics[0]}
+            frames.setdefault(cell.table, []).append(pd.DataFrame({**cell.known, **own_columns}))
     rows = {name: pd.concat(each, ignore_index=True) for name, each in frames.items()}
-    # One row per participant and condition: the first failure if any table failed.
-    table = pd.DataFrame([*refused, *ran], columns=[who, "condition", "status", "message"])
-    table = table.sort_values("message", key=lambda messages: messages == "", kind="stable")
-    return rows, table.drop_duplicates([who, "condition"]).sort_index(ignore_index=True)
+    columns = [who, "condition", "status", "message"]
+    return rows, pd.DataFrame([(*place, *what) for place, what in told.items()], columns=columns)

@@ -4,8 +4,6 @@ A file is validated once, in whole: the settings of a controller too become gain
 rig gains are tuned first, and controllers that need a sensor that the rig lacks are left out.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from functools import cached_property
@@ -81,7 +79,7 @@ class ControllerEntry(Group):
         """Its trainer; ``None`` for a controller that needs no training."""
         return trainer(self.kind)
 
-    def changed(self, **fields: Any) -> ControllerEntry:
+    def changed(self, **fields: Any) -> "ControllerEntry":
         """The entry with other fields."""
         return self.model_copy(update=fields)
 
@@ -99,7 +97,7 @@ class StudySettings(Group):
     evaluation: ProtocolSettings = ProtocolSettings()
 
     @whole_group
-    def _corrections(self) -> StudySettings:
+    def _corrections(self) -> "StudySettings":
         earlier: list[str] = []
         for name, entry in self.controllers.items():
             if entry.corrects is not None and entry.corrects not in earlier:
@@ -110,7 +108,7 @@ class StudySettings(Group):
         return self
 
     @classmethod
-    def from_yaml(cls, path: str | Path) -> StudySettings:
+    def from_yaml(cls, path: str | Path) -> "StudySettings":
         """Read a study; a group, and the settings of a controller, may be the path of another YAML file.
 
         Such a path is relative to the study's file. The task may be a name in ``configs/tasks``.
@@ -132,12 +130,12 @@ class StudySettings(Group):
                 with kept(errors):
                     entry["settings"] = read_yaml(file.parent / entry.pop("settings"))
         with kept(errors):
-            study = validate(cls, values, str(path))
-        refuse(errors, str(path))
-        study.check(str(path))
+            study = validate(cls, values, path)
+        refuse(errors, path)
+        study.check(path)
         return study
 
-    def check(self, source: str = "study") -> None:
+    def check(self, source: object = "study") -> None:
         """Check everything that would otherwise fail after hours of work; messages name the ``source``.
 
         Raises:
@@ -227,7 +225,7 @@ class StudySettings(Group):
             return load_controller(entry.kind, self.task, name)
         raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
 
-    def with_gains_of_rig(self) -> StudySettings:
+    def with_gains_of_rig(self) -> "StudySettings":
         """The study on its rig: gains that ship give way to those that serve or come from this one.
 
         What then equals an earlier controller is left out, and so is one without gains, with a line on standard error.
@@ -248,7 +246,7 @@ class StudySettings(Group):
             controllers[name] = entry
         return self.model_copy(update={"controllers": controllers})
 
-    def with_its_sensors(self) -> StudySettings:
+    def with_its_sensors(self) -> "StudySettings":
         """The study without the classical controllers that read an absent sensor, and without what corrects them.
 
         A line on standard error names each.
@@ -303,7 +301,7 @@ def default_study(
         changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
         changes["controllers"] = {name: _begun(entry) for name, entry in study.controllers.items()}
     study = study.model_copy(update=changes).with_its_sensors()
-    study.check("study" if path is None else str(path))
+    study.check(path or "study")
     return study
 
 

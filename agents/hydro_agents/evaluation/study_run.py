@@ -23,7 +23,6 @@ from hydro_agents.learning.stable_gain import stable_start
 from hydro_agents.learning.tuning import Search, Tuned, tune
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
-from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest, rest_text
 from hydro_agents.running.seeds import SEED_MARK, STANDSTILLS, TRIAL_RUN
 from hydro_env import ConfigurationError
@@ -50,7 +49,7 @@ def labels_of(study: StudySettings, name: str, seeds: range) -> dict[str, int]:
 
 def files_of(study: StudySettings, seeds: range) -> list[str]:
     """Names of the files that :func:`run_study` may write."""
-    files = [CONFIG_FILE, TUNED_FILE, RESULT_FILES]
+    files = [CONFIG_FILE, TUNED_FILE]
     for name in study.trained:
         for label in labels_of(study, name, seeds):
             files += [f"controllers/{label}/{file}" for file in TRAINING_FILES]

@@ -7,7 +7,7 @@ import pandas as pd
 
 from hydro_agents.evaluation.comparison import ALL, Grid
 from hydro_agents.evaluation.metrics import COMPARED, METRICS, RETURN
-from hydro_agents.evaluation.runner import FAILED, Results, table
+from hydro_agents.evaluation.runner import FAILED, Results, Rows, table
 from hydro_agents.running.limit_cycles import counted
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.statistics import interval
@@ -27,17 +27,15 @@ def parts_of(results: Results) -> Iterator[tuple[str, str, Mask, Mask]]:
 
 
 @table("summary")
-def summary(results: Results) -> pd.DataFrame:
+def summary(results: Results) -> Rows:
     """Every metric per controller, over all cases and in parts: mean with its interval."""
-    grid, rows = results.grid, []
+    grid = results.grid
     for controller in grid.controllers:
         for group, value, *part in parts_of(results):
             for metric, about in METRICS.items():
                 chosen = grid.sample(controller, metric, *part)
-                if not chosen.plants:
-                    continue
-                rows.append(
-                    {
+                if chosen.plants:
+                    yield {
                         "controller": controller,
                         "group": group,
                         "value": value,
@@ -47,42 +45,38 @@ def summary(results: Results) -> pd.DataFrame:
                         "cases": int((~np.isnan(chosen.values)).sum()),
                         "training_seeds": len(chosen.values),
                     }
-                )
-    return pd.DataFrame(rows)
 
 
 @table("comparison")
-def comparison(results: Results) -> pd.DataFrame:
+def comparison(results: Results) -> Rows:
     """Each controller against the first, over all cases and in parts; policies against what they correct, over all."""
-    grid, rows = results.grid, []
+    grid = results.grid
     baseline, *others = grid.controllers
     for controller in others:
         for group, value, *part in parts_of(results):
             row = grid.compare(controller, baseline, *part)
             if row["cases"]:
-                rows.append({"controller": controller, "against": baseline, "group": group, "value": value, **row})
+                yield {"controller": controller, "against": baseline, "group": group, "value": value, **row}
     for controller, base in results.participants.corrects.items():
         if controller in others and base in others:
             row = grid.compare(controller, base, grid.all_plants, grid.all_situations)
-            rows.append({"controller": controller, "against": base, "group": ALL, "value": "", **row})
-    return pd.DataFrame(rows)
+            yield {"controller": controller, "against": base, "group": ALL, "value": "", **row}
 
 
 @table("seeds")
-def seeds(results: Results) -> pd.DataFrame:
+def seeds(results: Results) -> Rows:
     """Each training seed of each controller against the first one, over all cases; empty if none has several."""
-    cases, rows = results.part("cases"), []
+    cases = results.part("cases")
     baseline, *others = results.grid.controllers
     first = cases[cases["controller"] == baseline]
     if cases.groupby("controller")["training_seed"].nunique().max() < 2:
-        return pd.DataFrame()
+        return
     for controller in others:
         for seed, own in cases[cases["controller"] == controller].groupby("training_seed", sort=False):
             grid = Grid(pd.concat([first, own], ignore_index=True))
             row = grid.compare(controller, baseline, grid.all_plants, grid.all_situations)
             known = {"controller": controller, "against": baseline, "training_seed": seed}
-            rows.append({**known, **row, "failures": int(own["failed"].sum())})
-    return pd.DataFrame(rows)
+            yield {**known, **row, "failures": int(own["failed"].sum())}
 
 
 @table("ranking")
@@ -123,10 +117,9 @@ def ranking(results: Results) -> pd.DataFrame:
 
 
 @table("limit_cycle_summary")
-def limit_cycle_summary(results: Results) -> pd.DataFrame:
+def limit_cycle_summary(results: Results) -> Rows:
     """Number and largest amplitude of the limit cycles at rest, per controller."""
     cycles = results.part("limit_cycles")
-    if cycles.empty:
-        return cycles
-    groups = cycles.groupby("controller", sort=False)
-    return pd.DataFrame([{"controller": name, **counted(own)} for name, own in groups])
+    if len(cycles):
+        for name, own in cycles.groupby("controller", sort=False):
+            yield {"controller": name, **counted(own)}

@@ -1,9 +1,6 @@
 """Inputs of a policy for any axis: of the same number and meaning on every rig."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +14,7 @@ from hydro_agents.running.seeds import SCALES
 from hydro_env import TaskConfig, task_config
 from hydro_env.task.paces import full_speed, pace, periods_per_step
 from hydro_env.task.signals import data_sheet
-from hydro_env.types import Floats, Indices, Singles
+from hydro_env.types import ByName, Floats, Indices, Singles
 
 PREVIEW_PACES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # of the reference that a policy for any axis sees
 USUAL_ERROR = 0.03  # of untuned flow linearisation, as a part of the travel at full speed in a pace; on the paper's rig
@@ -95,12 +92,12 @@ class AnyAxisFeatures(PolicyFeatures):
             return moving
         return np.concatenate([moving, np.tile(self._sheet, (len(moving), 1))], axis=1, dtype=np.float32)
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> ByName:
         """All data to build this object again (JSON)."""
         own = {"any_axis": True, "correction": self.correction, "error": self.error}
         return super().describe() | own | {"history_signals": list(HISTORY_SIGNALS)}
 
-    def normalised(self, leader: Controller | None = None) -> AnyAxisFeatures:
+    def normalised(self, leader: Controller | None = None) -> "AnyAxisFeatures":
         """The same features with the error of the corrected controller and normalised by its values, by simulation."""
         leader = leader or self.leader
         errors = family_errors(self.config, leader, ERROR_PLANTS, sensor_frame=True)
@@ -108,7 +105,7 @@ class AnyAxisFeatures(PolicyFeatures):
         features = AnyAxisFeatures(self.config, self.base, self.correction, error, len(self.lags))
         return PolicyFeatures.normalised(features, None if self.base else leader)
 
-    def moved_to(self, config: TaskConfig, gains: GainsFor = chosen_gains) -> AnyAxisFeatures:
+    def moved_to(self, config: TaskConfig, gains: GainsFor = chosen_gains) -> "AnyAxisFeatures":
         """The same features on another rig: there a simulation finds the corrected controller's gains and the units.
 
         Raises:

@@ -1,9 +1,7 @@
 """Controllers by name, file or object, checked against the task: what a command or an evaluation is asked to run.
 
-Weights and searched gains load what they need when they are asked for; gains in a file need neither.
+A name of weights or gains that ship, a file, or an object of your own.
 """
-
-from __future__ import annotations
 
 import re
 from enum import StrEnum
@@ -12,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, make_controller
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.rig_gains import GainsFor, chosen_gains, searched_gains
 from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import shipped_weights
 from hydro_agents.running.weights import weight_files
@@ -24,7 +24,6 @@ from hydro_env.task.law import RigLaw
 from hydro_env.task.paces import outside_law
 
 if TYPE_CHECKING:
-    from hydro_agents.learning.rig_gains import GainsFor
     from hydro_agents.learning.trainers import Trainer
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
@@ -41,19 +40,7 @@ class GainsOrigin(StrEnum):
     RIG = "from the figures of this rig, and a simulation of it"
 
 
-def _chosen(kind: str, config: TaskConfig) -> Group:
-    from hydro_agents.learning import rig_gains
-
-    return rig_gains.chosen_gains(kind, config)
-
-
-def _searched(kind: str, config: TaskConfig) -> Group:
-    from hydro_agents.learning import rig_gains
-
-    return rig_gains.searched_gains(kind, config)
-
-
-def shipped(kind: str, config: TaskConfig, gains: GainsFor = _chosen) -> Controller:
+def shipped(kind: str, config: TaskConfig, gains: GainsFor = chosen_gains) -> Controller:
     """The controller that comes with the project: on the paper's rig with gains or weights for it.
 
     On any other rig flow linearisation takes its gains for any rig, the defaults of its class. ``gains`` finds those of
@@ -80,23 +67,20 @@ def shipped(kind: str, config: TaskConfig, gains: GainsFor = _chosen) -> Control
     return make_controller(kind, config)
 
 
-def load_policy(path: Path, config: TaskConfig, gains: GainsFor, trainer: Trainer | None = None) -> Controller:
+def load_policy(path: Path, config: TaskConfig, gains: GainsFor, trainer: "Trainer | None" = None) -> Controller:
     """A policy from its weights; one for any axis moves to the rig of the task, ``gains`` as in :func:`shipped`.
 
     Raises:
         ConfigurationError: the weights cannot be read, or the rig lacks a sensor that the policy needs.
     """
-    from hydro_agents.learning.policy import PolicyController
-
-    policy: Any = PolicyController.load(path) if trainer is None else trainer.load(path)
-    features: Any = getattr(policy, "features", None)
-    moves = getattr(features, "for_any_axis", False) and features.config != config
-    loaded: Controller = policy.moved_to(config, gains) if moves else policy
-    return loaded
+    policy = PolicyController.load(path) if trainer is None else trainer.load(path)
+    if isinstance(policy, PolicyController) and policy.features.for_any_axis and policy.features.config != config:
+        return policy.moved_to(config, gains)
+    return policy
 
 
 def load_controller(
-    what: Controller | str | Path, config: TaskConfig, name: str, trainer: Trainer | None = None
+    what: Controller | str | Path, config: TaskConfig, name: str, trainer: "Trainer | None" = None
 ) -> Controller:
     """A controller for a task.
 
@@ -130,9 +114,9 @@ def load_controller(
     return controller
 
 
-def _named(what: str, config: TaskConfig, trainer: Trainer | None) -> Controller:
+def _named(what: str, config: TaskConfig, trainer: "Trainer | None") -> Controller:
     if what in CONTROLLERS or what in SHIPPED_WEIGHTS:
-        return shipped(what, config, _searched)
+        return shipped(what, config, searched_gains)
     if what.endswith(".zip"):
         raise ConfigurationError(
             f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in your own module "
@@ -145,7 +129,7 @@ def _named(what: str, config: TaskConfig, trainer: Trainer | None) -> Controller
     if trainer is None and "/" not in what and not any(file.is_file() for file in weight_files(what)):
         names = unknown(what, (*CONTROLLERS, *SHIPPED_WEIGHTS))
         raise ConfigurationError(f"'{what}': {names}; or give module:attribute, or a path of weights")
-    return load_policy(Path(what), config, _searched, trainer)
+    return load_policy(Path(what), config, searched_gains, trainer)
 
 
 def found_in(what: str | Path) -> str:

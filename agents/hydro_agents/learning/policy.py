@@ -1,7 +1,5 @@
 """A trained policy as a controller: NumPy inference from safetensors, and conversion from stable-baselines3."""
 
-from __future__ import annotations
-
 from copy import copy
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -19,7 +17,7 @@ from hydro_agents.running.weights import load_weights, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.files import Group, validate
-from hydro_env.types import Mask, Singles
+from hydro_env.types import ByName, Mask, Singles
 
 KIND = "policy"
 _NORMALISATION = ("normalisation.centre", "normalisation.unit", "normalisation.limit")  # the last: if standardised
@@ -29,7 +27,7 @@ Layers = list[tuple[Singles, Singles]]
 
 class _StoredBase(Group):
     kind: str
-    settings: dict[str, Any]
+    settings: ByName
 
 
 class _StoredFeatures(Group):
@@ -76,7 +74,7 @@ class _StoredPolicy(Group):
     activation: Literal["tanh", "relu"] = "tanh"
     output: Literal["linear"] = "linear"  # limited to ±1
     lstm_cells: int | None = None
-    training: dict[str, Any] = {}
+    training: ByName = {}
 
 
 class LSTM(NamedTuple):
@@ -107,7 +105,7 @@ class LSTM(NamedTuple):
         return output, np.concatenate([output, cells], axis=1)
 
     @classmethod
-    def from_torch(cls, layer: Any) -> LSTM:
+    def from_torch(cls, layer: Any) -> "LSTM":
         """The weights of a ``torch.nn.LSTM`` with one layer."""
         bias = _array(layer.bias_ih_l0) + _array(layer.bias_hh_l0)
         return cls(_array(layer.weight_ih_l0), _array(layer.weight_hh_l0), bias)
@@ -115,8 +113,7 @@ class LSTM(NamedTuple):
 
 def _sigmoid(x: Singles) -> Singles:
     half = np.float32(0.5)
-    opening: Singles = half + half * np.tanh(half * x)
-    return opening
+    return half + half * np.tanh(half * x)
 
 
 class PolicyController:
@@ -147,7 +144,7 @@ class PolicyController:
         self,
         features: PolicyFeatures,
         layers: Layers,
-        training: dict[str, Any] | None = None,
+        training: ByName | None = None,
         activation: str = "tanh",
         lstm: LSTM | None = None,
     ) -> None:
@@ -182,8 +179,8 @@ class PolicyController:
 
     @classmethod
     def from_sb3(
-        cls, model: Any, features: PolicyFeatures | None = None, training: dict[str, Any] | None = None
-    ) -> PolicyController:
+        cls, model: Any, features: PolicyFeatures | None = None, training: ByName | None = None
+    ) -> "PolicyController":
         """Copy the actor of a model of stable-baselines3.
 
         Args:
@@ -247,7 +244,7 @@ class PolicyController:
             for mine, given in pairs:
                 mine.copy_(torch.from_numpy(given.copy()))
 
-    def moved_to(self, config: TaskConfig, gains: GainsFor = searched_gains) -> PolicyController:
+    def moved_to(self, config: TaskConfig, gains: GainsFor = searched_gains) -> "PolicyController":
         """A policy for any axis on the rig of another task; ``gains`` finds those of the controller that it corrects.
 
         Raises:
@@ -273,14 +270,14 @@ class PolicyController:
         return save_weights(path, KIND, tensors, {**settings, "training": self.training})
 
     @classmethod
-    def load(cls, path: str | Path) -> PolicyController:
+    def load(cls, path: str | Path) -> "PolicyController":
         """Read what ``save`` wrote.
 
         Raises:
             ConfigurationError: missing, damaged or foreign files.
         """
         tensors, settings = load_weights(path, KIND)
-        stored = validate(_StoredPolicy, settings, str(path))
+        stored = validate(_StoredPolicy, settings, path)
         layers, lstm = [], None
         try:
             features = stored.features.features()
@@ -332,11 +329,10 @@ def _features_of(model: Any) -> PolicyFeatures:
 
 
 def _array(tensor: Any) -> Singles:
-    array: Singles = tensor.detach().cpu().numpy().copy()
-    return array
+    return tensor.detach().cpu().numpy().copy()
 
 
-def _named(layers: Layers, normalisation: NamedTuple | None, lstm: LSTM | None) -> dict[str, Singles]:
+def _named(layers: Layers, normalisation: "NamedTuple | None", lstm: LSTM | None) -> dict[str, Singles]:
     named = {}
     for number, (weight, bias) in enumerate(layers):
         named[f"layer{number}.weight"], named[f"layer{number}.bias"] = weight, bias

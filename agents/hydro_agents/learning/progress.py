@@ -78,13 +78,12 @@ def read_progress(path: str | Path, steps: float = math.inf) -> list[dict[str, f
     """
     try:
         table = pd.read_csv(path, index_col=False, dtype=str).astype(float)
-        rows: list[dict[str, float]] = table[table[STEPS] <= steps].to_dict("records")
+        return table[table[STEPS] <= steps].to_dict("records")
     except pd.errors.EmptyDataError:
         return []
     except (OSError, ValueError, KeyError) as error:
         warnings.warn(f"{path}: is no log of a training ({type(error).__name__}): left out", stacklevel=2)
         return []
-    return rows
 
 
 def training_logger(folder: str | Path | None, steps: int = 0) -> Logger:

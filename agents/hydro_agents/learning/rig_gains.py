@@ -20,8 +20,8 @@ from hydro_agents.learning.tuning import Search, costs_of_sets, tune
 from hydro_agents.running.jobs import digest_of_code
 from hydro_agents.running.limit_cycles import counted_at_rest
 from hydro_agents.running.seeds import STANDSTILLS
-from hydro_env import ConfigurationError, HydroError, TaskConfig, task_config
-from hydro_env.files import Group, read_yaml, validate, write_yaml
+from hydro_env import ConfigurationError, TaskConfig, task_config
+from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_folder
 from hydro_env.types import Floats
 
@@ -60,7 +60,7 @@ def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
     sets = [group()]
     file = config_folder() / "agents" / f"{kind}_sets.yaml"
     if file.is_file():
-        sets += [validate(group, values, str(file)) for values in read_yaml(file)["sets"]]
+        sets += [validate(group, values, file) for values in read_yaml(file)["sets"]]
     return sets
 
 
@@ -71,7 +71,7 @@ def chosen_gains(kind: str, config: TaskConfig) -> Group:
     if len(sets) > 1:
         errors = costs_on_rig(kind, sets, config)
         if min(errors) < CLEARLY * errors[0]:
-            return sets[int(np.argmin(errors))]
+            return sets[np.argmin(errors)]
     return sets[0]
 
 
@@ -85,11 +85,10 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
     key = f"{digest_of_code('hydro_agents')} {kind} {config!r}"
     file = folder / f"{kind}_{hashlib.sha256(key.encode()).hexdigest()[:24]}.yaml"
     with contextlib.suppress(ConfigurationError):  # none, or a damaged one
-        return validate(CONTROLLERS[kind][1], read_yaml(file), str(file))
+        return validate(CONTROLLERS[kind][1], read_yaml(file), file)
     found = gains_by_search(kind, config)
-    with contextlib.suppress(OSError, HydroError):  # no folder that can be written: the next command searches again
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_yaml(file, found.model_dump(mode="json"))
+    with contextlib.suppress(ConfigurationError):  # no folder that can be written: the next command searches again
+        found.to_yaml(file)
     return found
 
 
@@ -114,7 +113,7 @@ def gains_by_search(kind: str, config: TaskConfig) -> Group:
     for number, gains in enumerate(leaders):
         counts = counted_at_rest(CONTROLLERS[kind][0](gains, config), config, STANDSTILLS, RESTS)
         errors[number] += PER_RINGING[kind] * max(counts["limit_cycles"], counts["ringing"]) / RESTS
-    best = int(np.argmin(errors))
+    best = np.argmin(errors)
     return leaders[best if errors[best] < errors[0] - BETTER else 0]
 
 

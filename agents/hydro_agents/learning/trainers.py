@@ -1,7 +1,5 @@
 """Trainers by name; to add an algorithm, write a class with two methods in a new file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -40,7 +38,7 @@ class Trainer(Protocol):
         folder: Path,
         resume: bool,
         base: Controller | None,
-        progress: Callable[[Progress], None] | None,
+        progress: "Callable[[Progress], None] | None",
     ) -> TrainedController:
         """Train a controller.
 
@@ -94,7 +92,7 @@ def trainer(kind: str) -> Trainer | None:
     """
     if ":" not in kind:
         return TRAINERS.get(kind)
-    made: Any = imported(kind)
+    made = imported(kind)
     if not (hasattr(made, "train") and hasattr(made, "load")):
         return None
     if isinstance(made, type):
@@ -104,5 +102,4 @@ def trainer(kind: str) -> Trainer | None:
             raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason(error)}") from None
     if not hasattr(made, "settings"):
         raise ConfigurationError(f"trainer '{kind}': needs settings, train and load")
-    checked: Trainer = made
-    return checked
+    return made

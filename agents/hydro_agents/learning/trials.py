@@ -72,7 +72,7 @@ def costs_of(
         before = axes.column("command").copy()
         memories = [None] * candidates
         able = np.array([controller is not None for controller in controllers])
-        alive, total = np.ones(len(before), dtype=np.bool_), np.zeros(len(before))
+        alive, total = np.ones(len(before), dtype=bool), np.zeros(len(before))
         action = np.zeros((len(before), 1), dtype=np.float32)
         for step in range(config.steps):
             started = np.full(size, step == 0)
@@ -89,7 +89,7 @@ def costs_of(
                 if able[number]:
                     action[part] = commands
             observation, _, terminated, _, _ = env.step(action)
-            command = np.clip(action[:, 0].astype(np.float64), -1.0, 1.0)
+            command = np.clip(action[:, 0].astype(float), -1.0, 1.0)
             error = np.abs(reference[:, step + 1] - axes.column("position"))
             if step >= first:
                 total += np.where(alive, error + price * (command - before) ** 2, config.plant.cylinder.stroke)
@@ -110,4 +110,4 @@ def summed_up(costs: Sequence[Floats], cases: Sequence[Cases]) -> Floats:
         families = np.array(own.options["reference"])
         for family in dict.fromkeys(own.options["reference"]):
             parts.append(rows[:, families == family].mean(axis=1))
-    return np.asarray(np.exp(np.mean(np.log(parts), axis=0)))
+    return np.exp(np.mean(np.log(parts), axis=0))

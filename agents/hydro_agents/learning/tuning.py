@@ -4,8 +4,6 @@ Source: Hansen & Ostermeier, *Completely derandomized self-adaptation in evoluti
 9(2), 2001; the package ``cmaes``. Every kind gets the same optimiser, budget and training cases.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -47,8 +45,7 @@ class Space:
     def point(self, gains: Group) -> Floats:
         """Gains as a point of the cube, (n,); a gain outside its search range is clipped to it."""
         values = np.clip([float(getattr(gains, name)) for name in self.names], *self._ends)
-        point: Floats = np.clip((self._scaled(values) - self._low) / self._width, 0.0, 1.0)
-        return point
+        return np.clip((self._scaled(values) - self._low) / self._width, 0.0, 1.0)
 
     def values(self, point: Floats) -> dict[str, float]:
         """The gains at a point of the cube, by name."""
@@ -132,7 +129,7 @@ def tune(
     return best
 
 
-def _optimiser(space: Space, start: Group, search: Search) -> CMA | SepCMA:
+def _optimiser(space: Space, start: Group, search: Search) -> "CMA | SepCMA":
     from cmaes import CMA, SepCMA  # loads scipy.stats
 
     strategy = SepCMA if search.separable else CMA

@@ -92,7 +92,7 @@ def controllers_page(title: str, tables: Tables, examples: Sequence[Example] = (
 
 def names_of(tables: Tables) -> list[str]:
     """Names of the controllers, the baseline first."""
-    return [str(name) for name in tables["summary"]["controller"].unique()]
+    return tables["summary"]["controller"].unique().tolist()
 
 
 def rows_of(tables: Tables, table: str, group: str) -> pd.DataFrame:
@@ -268,7 +268,7 @@ def example_axes(example: Example) -> list[Axes]:
     axes = time_panels(("position, mm", "error, mm", "command, V"), 4.6)
     for name, run in example.runs.items():
         reference, position = 1e3 * run.reference[example.case], 1e3 * run.position[example.case]
-        size = number(float(np.abs(reference - position).mean()))
+        size = number(np.abs(reference - position).mean())
         signal(axes[0], run.time, position, label=f"{name}, mean error {size} mm")
         signal(axes[1], run.time, reference - position)
         signal(axes[2], run.time, 10.0 * run.command[example.case])

@@ -53,9 +53,6 @@ NARROW, WIDE = 4.6, 8.6  # widths of figures, inches: a telephone, and a page
 drawn = matplotlib.style.context(Path(__file__).with_name("figures.mplstyle"), after_reset=True)
 """Decorates a function that draws figures, whatever the user's own settings of matplotlib are."""
 
-MOST_POINTS = 4000
-"""Largest number of points of a line of samples; a longer one shows the lowest and highest value of each stretch."""
-
 
 # Pages ----------------------------------------------------------------------------------------------------------------
 
@@ -221,7 +218,7 @@ def as_text(frame: pd.DataFrame, caption: str) -> Table:
 def with_interval(table: pd.DataFrame, column: str, decimals: int | None = None, factor: float = 1.0) -> pd.Series:
     """A column with its interval as texts: 0.512 (0.400 to 0.625)."""
     texts = []
-    for row in factor * table[[column, f"{column}_low", f"{column}_high"]].to_numpy(dtype=np.float64):
+    for row in factor * table[[column, f"{column}_low", f"{column}_high"]].to_numpy(dtype=float):
         middle, low, high = (number(value, decimals) for value in row)
         if np.isfinite(row[1]):
             middle += f" ({low} to {high})"
@@ -311,9 +308,9 @@ def draw(
     scale = figure_of(axes).dpi_scale_trans
     for index, name in enumerate(names):
         own = table[table[by] == name]
-        places, middle, lengths = own[over], factor * own[value].to_numpy(dtype=np.float64), None
+        places, middle, lengths = own[over], factor * own[value].to_numpy(dtype=float), None
         if f"{value}_low" in own:
-            low, high = factor * own[[f"{value}_low", f"{value}_high"]].to_numpy(dtype=np.float64).T
+            low, high = factor * own[[f"{value}_low", f"{value}_high"]].to_numpy(dtype=float).T
             lengths = np.nan_to_num(np.maximum([middle - low, high - middle], 0.0))
         shift = apart / 72.0 * (index - 0.5 * (len(names) - 1))
         style: dict[str, Any] = {"label": name}
@@ -351,11 +348,7 @@ def leak_axis(axes: Axes, leaks: Iterable[float]) -> None:
 
 
 def signal(axes: Axes, time: Floats, values: Floats, **options: Any) -> None:
-    """Draw a line of samples (T,) without markers; it breaks where rows are missing, and a long one is thinned."""
-    size = -(-len(time) // (MOST_POINTS // 2))
-    if size > 2:
-        ends = pd.Series(values).groupby(np.arange(len(values)) // size).agg(["min", "max"])
-        time, values = np.repeat(time[::size], 2), ends.to_numpy().ravel()
+    """Draw a line of samples (T,) without markers; it breaks where rows are missing."""
     steps = np.diff(time)
     if (steps > 0.0).any():
         after = np.flatnonzero(steps > 5.0 * np.median(steps[steps > 0.0])) + 1

@@ -37,7 +37,7 @@ def leakage_page(title: str, tables: Tables, base: str) -> Page:
     """
     page, conditions = Page(title), tables["conditions"].set_index("condition")
     found = tables["detection"].assign(label=tables["detection"]["condition"].map(conditions["label"]))
-    names = [str(name) for name in found["detector"].unique()]
+    names = found["detector"].unique().tolist()
     smallest = pd.Series({name: smallest_found(found, name, base) for name in names}).min()
     if np.isfinite(smallest):
         duration = setting(conditions["duration_s"][base])
@@ -89,7 +89,7 @@ def leakage_page(title: str, tables: Tables, base: str) -> Page:
 
 def in_groups(conditions: pd.DataFrame, *groups: str) -> list[str]:
     """Names of the conditions of some groups, in order of the protocol."""
-    return [str(name) for name in conditions.index[conditions["group"].isin(groups)]]
+    return conditions.index[conditions["group"].isin(groups)].tolist()
 
 
 def smallest_found(found: pd.DataFrame, detector: str, base: str) -> float:

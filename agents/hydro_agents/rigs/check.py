@@ -50,13 +50,12 @@ class RigFigure(NamedTuple):
     group: str
     quantity: str
     at: str  # its condition
-    value: float | str  # text if there is no number
+    value: Any  # a number, or text if there is none
     unit: str
     key: str = ""  # of a figure that a summary uses
 
-    def text(self, digits: int) -> str:
-        """The value with a number of significant digits."""
-        return self.value if isinstance(self.value, str) else f"{self.value:.{digits}g}"
+    def __format__(self, digits: str) -> str:
+        return self.value if isinstance(self.value, str) else format(self.value, digits)
 
 
 Row = tuple[Any, ...]  # the fields of a figure after its group
@@ -77,7 +76,7 @@ def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig
         >>> from hydro_agents.rigs.check import check_rig
         >>> from hydro_env import PlantParameters
         >>> row = check_rig(PlantParameters())[0]
-        >>> row.group, row.quantity, row.text(4), row.unit
+        >>> row.group, row.quantity, f"{row:.4g}", row.unit
         ('cylinder', 'area a (bore side)', '12.57', 'cm²')
     """
     refuse_unworkable(parameters, source)
@@ -103,9 +102,7 @@ def resting_place(parameters: PlantParameters) -> float:
         HydroError: none of the candidate positions can be held.
     """
     low, high = reachable_range(parameters)
-    middle = 0.0
-    if not low < 0.0 < high:
-        middle = 0.5 * (low + high)
+    middle = 0.0 if low < 0.0 < high else 0.5 * (low + high)
     held = []
     for place in (middle, *np.linspace(low, high, 41).tolist()):
         with suppress(HydroError):
@@ -115,7 +112,7 @@ def resting_place(parameters: PlantParameters) -> float:
             held.append(place)
     if not held:
         equilibrium(parameters, middle)  # raises the error with the reason
-    return float(held[len(held) // 2])
+    return held[len(held) // 2]
 
 
 def _geometry(parameters: PlantParameters) -> list[Row]:
@@ -174,9 +171,7 @@ def _speeds(parameters: PlantParameters) -> list[Row]:
 def _forces(parameters: PlantParameters) -> list[Row]:
     limits, (low, high) = force_limits(parameters), reachable_range(parameters)
     stiffness = parameters.load.spring_stiffness
-    against = "stroke"
-    if stiffness:
-        against = f"spring {stiffness / 1e3:g} N/mm"
+    against = f"spring {stiffness / 1e3:g} N/mm" if stiffness else "stroke"
     pressure = f"{parameters.supply.pressure / BAR:g} bar"
     return [
         ("force limit out", pressure, limits.extending / 1e3, "kN", "force out"),

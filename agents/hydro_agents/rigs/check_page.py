@@ -1,7 +1,6 @@
 """The page of ``hydro check-rig``: the figures of a rig, and its position loop as Bode and step plots."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -37,7 +36,7 @@ def check_page(
     for warning in warnings:
         page.text(warning, "caution")
     page.facts(dict(others))
-    figures: dict[str, Any] = {row.key: row for row in rows}
+    figures = {row.key: row for row in rows}
     if "no gain" in figures:
         page.text(f"No plots: {figures['no gain'].at}", "caution")
     else:
@@ -48,7 +47,7 @@ def check_page(
     page.heading("All figures")
     for group in dict.fromkeys(row.group for row in rows):
         own = [row for row in rows if row.group == group]
-        table = pd.DataFrame({"at": [row.at for row in own], "value": [row.text(4) for row in own]})
+        table = pd.DataFrame({"at": [row.at for row in own], "value": [f"{row:.4g}" for row in own]})
         table.index = pd.Index([f"{row.quantity}, {row.unit}" for row in own])
         page.table(table, group)
     return page

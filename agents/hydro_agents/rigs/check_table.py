@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -31,31 +32,33 @@ WEAK_DAMPING = 0.05  # damping ratio below which an axis rings: after five perio
 def brief(rows: Sequence[RigFigure], parameters: PlantParameters) -> list[tuple[str, str]]:
     """Speeds, forces, frequency, damping, gain and a verdict, each as (name, text)."""
     figures = {row.key: row for row in rows if row.key}
-    text = {key: row.text(3) for key, row in figures.items()}
-    short = {key: row.text(2) for key, row in figures.items()}
-    healthy, leaking = (f"damping {leak_text(leak)}" for leak in (EXAMINED_LEAKS[0], EXAMINED_LEAKS[-1]))
-    # Gains in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed; beyond a dead band.
+    healthy, leaking = (figures[f"damping {leak_text(leak)}"] for leak in (EXAMINED_LEAKS[0], EXAMINED_LEAKS[-1]))
     full_speed = sum(speed_limits(beyond_dead_band(parameters))) / 2.0
-    for key in ("gain over the reach", "gain in the ranges", "recommended gain"):
-        if key in figures and not isinstance(value := figures[key].value, str):
-            text[key] = f"{value * FULL_VOLTAGE * MILLIMETRE:.3g} V/mm (K_v = {value * full_speed:.3g} 1/s)"
+
+    def gain(key: str) -> str:
+        """A gain in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed; beyond a dead band."""
+        value = figures[key].value
+        if isinstance(value, str):
+            return value
+        return f"{value * FULL_VOLTAGE * MILLIMETRE:.3g} V/mm (K_v = {value * full_speed:.3g} 1/s)"
+
     facts = {
-        "speeds": f"{text['speed out']} mm/s out, {text['speed in']} mm/s in; at 2/3 of the largest force "
-        f"{text['loaded out']} and {text['loaded in']} mm/s",
-        "forces": f"{text['force out']} kN out, {text['force in']} kN in; it reaches {text['reach in']} to "
-        f"{text['reach out']} mm",
-        "natural frequency": f"{text['lowest frequency']} Hz at the softest place "
+        "speeds": f"{figures['speed out']:.3g} mm/s out, {figures['speed in']:.3g} mm/s in; at 2/3 of the largest "
+        f"force {figures['loaded out']:.3g} and {figures['loaded in']:.3g} mm/s",
+        "forces": f"{figures['force out']:.3g} kN out, {figures['force in']:.3g} kN in; it reaches "
+        f"{figures['reach in']:.3g} to {figures['reach out']:.3g} mm",
+        "natural frequency": f"{figures['lowest frequency']:.3g} Hz at the softest place "
         f"({figures['lowest frequency'].at}), ports shut",
-        "damping ratio": f"{short[healthy]} with a healthy seal, {short[leaking]} with a leak of "
+        "damping ratio": f"{healthy:.2g} with a healthy seal, {leaking:.2g} with a leak of "
         f"{leak_text(EXAMINED_LEAKS[-1])}, without friction",
-        "largest stable gain": f"{text['gain over the reach']} with the file's own values, "
-        f"{text['gain in the ranges']} on the worst of {DRAWN} plants drawn from their ranges; healthy seal",
+        "largest stable gain": f"{gain('gain over the reach')} with the file's own values, "
+        f"{gain('gain in the ranges')} on the worst of {DRAWN} plants drawn from their ranges; healthy seal",
     }
     if "recommended gain" in figures:
-        gain = " and ".join(short[key] for key in short if key.startswith("gain margin"))
-        phase = "° and ".join(short[key] for key in short if key.startswith("phase margin"))
+        more = " and ".join(f"{row:.2g}" for key, row in figures.items() if key.startswith("gain margin"))
+        phase = "° and ".join(f"{row:.2g}" for key, row in figures.items() if key.startswith("phase margin"))
         facts["recommended gain"] = (
-            f"{text['recommended gain']}: a simulation with friction comes to rest with {gain} dB more; phase margin "
+            f"{gain('recommended gain')}: a simulation with friction comes to rest with {more} dB more; phase margin "
             f"without friction {phase}° (own values and worst)"
         )
     resonances = _resonances(figures)
@@ -63,7 +66,7 @@ def brief(rows: Sequence[RigFigure], parameters: PlantParameters) -> list[tuple[
         facts["resonances"] = ", ".join(
             f"{frequency:.3g} Hz ({what}, damping {alone:.2g})" for frequency, what, alone, _ in resonances
         )
-    verdict, watch = "it works", _watched(figures, figures[healthy].value)
+    verdict, watch = "it works", _watched(figures, healthy.value)
     if "no gain" in figures:
         verdict = f"no recommended gain: {figures['no gain'].at}"
     for frequency, what, _, with_gain in resonances:
@@ -76,10 +79,9 @@ def _resonances(figures: Mapping[str, RigFigure]) -> list[tuple[float, str, floa
     """Frequency in Hz, what swings, damping alone and with the recommended gain, of each resonance of a structure."""
     found, number = [], 1
     while f"resonance {number}" in figures:
-        row: Any = figures[f"resonance {number}"]
-        alone: Any = figures[f"resonance {number} alone"].value
-        with_gain: Any = figures.get(f"resonance {number} with gain", figures[f"resonance {number} alone"]).value
-        found.append((row.value, row.quantity.split(", ")[1], alone, with_gain))
+        row, alone = figures[f"resonance {number}"], figures[f"resonance {number} alone"]
+        with_gain = figures.get(f"resonance {number} with gain", alone)
+        found.append((row.value, row.quantity.split(", ")[1], alone.value, with_gain.value))
         number += 1
     return found
 
@@ -88,13 +90,13 @@ def _watched(figures: Mapping[str, RigFigure], damping: float | str) -> list[str
     watch = []
     if "dead band" in figures:
         watch.append(
-            f"the valve is overlapped, dead within ±{figures['dead band'].text(3)} V: its amplifier or the controller "
+            f"the valve is overlapped, dead within ±{figures['dead band']:.3g} V: its amplifier or the controller "
             "must add that (the PID's overlap_compensation; the others invert it), and the gains above suppose it"
         )
     for way in ("out", "in"):
-        full: Any = figures[f"speed {way}"]
-        lasting: Any = figures.get(f"lasting {way}", full).value
-        if lasting < 0.999 * full.value:
+        full = figures[f"speed {way}"]
+        lasting = figures.get(f"lasting {way}", full)
+        if lasting.value < 0.999 * full.value:
             watch.append(f"the pump alone sustains only {lasting:.3g} mm/s {way}")
     if isinstance(damping, float) and damping < WEAK_DAMPING:
         watch.append("the axis rings: use damping (pressure feedback) or a low gain")
@@ -146,13 +148,11 @@ def check_to_console(rig: Path | None, period: str | None = None, latency: str |
         console.print("Not in the file, taken from the paper's rig (SI units):")
         for group, entries in assumed(read_yaml(rig), given.plant).items():
             console.print(Padding(f"{group}: {', '.join(entries)}", (0, 0, 0, 2)))
-    breaks: dict[int, str] = {}
-    for place, row in enumerate(rows):
-        if row.group not in breaks.values():
-            breaks[place] = row.group
-    cells = [(row.quantity, row.at, row.text(4), row.unit) for row in rows]
-    table = Table("", HEADINGS, cells, breaks=breaks)
-    console.print(console_table(table, left=(0, 1, 3)))  # narrow enough for a terminal of 80 columns
+    cells = []
+    for group, own in groupby(rows, attrgetter("group")):
+        cells.append((group.upper(), "", "", ""))
+        cells += [(row.quantity, row.at, f"{row:.4g}", row.unit) for row in own]
+    console.print(console_table(Table("", HEADINGS, cells), left=(0, 1, 3)))  # fits a terminal of 80 columns
     return name, [("rig", summary), *said], warnings, rows, task
 
 

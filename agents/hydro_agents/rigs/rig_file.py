@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 from hydro_env.errors import ConfigurationError
 from hydro_env.mistakes import one_of
 from hydro_env.plant.parameters import PARAMETER_UNITS
-from hydro_env.task.nameplates import FIELDS, curve_fit, lap_and_knee, position_error, rig_of, rig_values
-from hydro_env.task.rig import Rig
+from hydro_env.task.nameplates import FIELDS, curve_fit, lap_and_knee, position_error, rig_values
+from hydro_env.task.rig import Rig, rig_from
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.units import FACTORS, UNITS, in_si, split_quantity
 
@@ -149,10 +149,8 @@ def answers_from(texts: Mapping[str, str]) -> dict[str, Any]:
         raise ConfigurationError("pressure-sensors=valve: needs line-length: without lines both places are one")
     figures = {question.key: parsed(question, texts[question.key]) for question in QUESTIONS if question.key in texts}
     if "full_signal" in figures:
-        key = "full_voltage"
-        if texts["full_signal"].strip().endswith("A"):
-            key = "full_current"
-        figures[key] = figures.pop("full_signal")
+        is_current = texts["full_signal"].strip().endswith("A")
+        figures["full_current" if is_current else "full_voltage"] = figures.pop("full_signal")
     return figures
 
 
@@ -281,12 +279,12 @@ def new_rig(figures: Mapping[str, Any], source: str) -> tuple[str, Rig]:
     Raises:
         ConfigurationError: the figures contradict each other, or the rig cannot work.
     """
-    rig = rig_of(figures, source)
+    values = rig_values(figures)
+    rig = rig_from(values, source)
     texts = written_answers(figures)
     origins = _origins(texts, curve_fit(figures))
     given = {path: texts[key] for key, path in FIELDS.items() if key in texts}
     text = HEADER.format(source=source)
-    values = rig_values(figures)
     ranges, sensors = values.pop("randomisation"), values.pop("sensors")
     for group, fields in values.items():
         text += f"{group}:\n"
@@ -310,9 +308,7 @@ def new_rig(figures: Mapping[str, Any], source: str) -> tuple[str, Rig]:
             unit = next(iter(UNITS[CHANNEL_UNITS[name]]))
             parts = [f"{field}: {_shown(value, unit)}" for field, value in fields.items()]
             text += f"  {name}: {{{', '.join(parts)}}}\n"
-    how = "assumed"
-    if "position_accuracy" in texts:
-        how = "given"
+    how = "given" if "position_accuracy" in texts else "assumed"
     error = position_error(figures)
     share = f"{100 * error / figures['stroke']:.3g} % of the stroke"
     text += f"# largest constant error of the position sensor (bias), {how}: {1e3 * error:.3g} mm, {share}\n"

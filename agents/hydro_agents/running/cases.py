@@ -1,7 +1,5 @@
 """Runs a controller on a list of independent episodes; their trajectories, and its errors on validation plants."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,12 +12,12 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.running.seeds import LEARNING_CURVE, SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
-from hydro_env.errors import reason
+from hydro_env.errors import at, reason
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import State
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.sensors import CHANNELS
-from hydro_env.types import Array, Floats, Indices, Mask, Singles
+from hydro_env.types import Array, ByName, Floats, Indices, Mask, Singles
 
 _SPOOL = State._fields.index("spool_position")
 _SUPPLY_PRESSURE = State._fields.index("supply_pressure")
@@ -62,7 +60,7 @@ class Cases:
     def __len__(self) -> int:
         return len(self.seeds)
 
-    def part(self, first: int, last: int) -> Cases:
+    def part(self, first: int, last: int) -> "Cases":
         """The cases from ``first`` to before ``last``."""
         chosen = slice(first, last)
         leak, families, faults = self.leakage_flow_lpm, self.families, self.faults
@@ -74,16 +72,16 @@ class Cases:
             faults and {name: sizes[chosen] for name, sizes in faults.items()},
         )
 
-    def chunks(self, size: int) -> list[Cases]:
+    def chunks(self, size: int) -> "list[Cases]":
         """The cases in parts of at most ``size``."""
         return [self.part(first, first + size) for first in range(0, len(self), size)]
 
     @property
-    def options(self) -> dict[str, Any]:
+    def options(self) -> ByName:
         """What the cases fix, as the options of ``reset``."""
         fixed = {
             "leakage_flow_lpm": self.leakage_flow_lpm,
-            "reference": None if self.families is None else [str(name) for name in self.families],
+            "reference": None if self.families is None else self.families.tolist(),
             "parameters": self.parameters or None,
             "faults": self.faults or None,
         }
@@ -131,7 +129,7 @@ def run_cases(
         signal_columns: columns of the observation to keep.
 
     Raises:
-        ConfigurationError: the task draws from several rigs.
+        ConfigurationError: the task draws from several rigs, or an episode cannot begin.
         ControllerError: the controller has no ``predict``, raised an exception, or did not return finite commands (N,
             1) with a state; the message names the case.
 
@@ -148,33 +146,39 @@ def run_cases(
     check_predict(controller)
     if config.law is not None and config.law.count > 1:
         raise ConfigurationError("law: a run is on one rig; rig_tasks(config) lists those of the law")
-    return _run(config, controller, cases, signal_columns)
-
-
-def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any) -> Rollout:
     rig = rig_tasks(config)[0]  # the task itself if it draws none
     count, steps = len(cases), rig.steps
     # NEXT_STEP shows the last sample of an episode before its axis restarts.
     env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
-    observation, _ = env.reset(seed=[int(seed) for seed in cases.seeds], options=cases.options)
+    with at("the run cannot begin"):
+        observation, _ = env.reset(seed=cases.seeds.tolist(), options=cases.options)
     axes, memory = env.axes, None
     if isinstance(controller, TrueStateController):
         controller.begin(axes)
     traces = {name: np.zeros((count, steps), dtype=np.float32) for name in _TRACES}
     reference = axes.reference[:, 1 : steps + 1].astype(np.float32)
-    signals = np.zeros((steps, count, len(columns)), dtype=np.float32) if columns is not None else None
+    signals = None
+    if signal_columns is not None:
+        signals = np.zeros((steps, count, len(signal_columns)), dtype=np.float32)
     failed_at = np.full(count, -1, dtype=np.int64)
     flow = axes.column("leak_flow").copy()
     bias = axes.column("bias")[:, _POSITION].copy()
     for step in range(steps):
         alive = failed_at < 0
         if signals is not None:
-            signals[step] = observation[:, columns]
+            signals[step] = observation[:, signal_columns]
             signals[step, ~alive] = signals[step - 1, ~alive]
         started = np.full(count, step == 0)
         action, memory = _act(controller, observation, memory, started, alive, cases, step * rig.control_period)
         observation, rewards, terminated, _, _ = env.step(action)
-        now = _traced(axes) | {"reward": rewards}
+        state, flow_drawn = axes.state, axes.derived()[:, _SUPPLY_FLOW]
+        now = {
+            "position": axes.column("position"),
+            "command": axes.column("command"),
+            "spool": state[:, _SPOOL],
+            "supply_power": state[:, _SUPPLY_PRESSURE] * flow_drawn,
+            "reward": rewards,
+        }
         for name, trace in traces.items():  # a failed axis keeps its values, while its reference continues
             last = 0.0 if name == "reward" else trace[:, step - 1]
             trace[:, step] = np.where(alive, now[name], last)
@@ -190,17 +194,6 @@ def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any)
         leakage_flow_lpm=flow,
         **traces,
     )
-
-
-def _traced(axes: Axes) -> dict[str, Any]:
-    """What a rollout keeps of the axes in each period."""
-    state, flow = axes.state, axes.derived()[:, _SUPPLY_FLOW]
-    return {
-        "position": axes.column("position"),
-        "command": axes.column("command"),
-        "spool": state[:, _SPOOL],
-        "supply_power": state[:, _SUPPLY_PRESSURE] * flow,
-    }
 
 
 def check_predict(controller: Any) -> None:

@@ -1,7 +1,5 @@
 """Progress of long work on the console: bars on a terminal, occasional lines elsewhere, and the remaining time."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os
@@ -15,7 +13,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Column
 from rich.table import Table as ConsoleTable
-from rich.text import Text
 
 from hydro_agents.running.text import Table, duration
 
@@ -61,10 +58,7 @@ def console_table(table: Table, left: Collection[int] = (0,), whole: bool = Fals
     for place, heading in enumerate(table.header):
         words = place in left
         shown.add_column(heading, justify="left" if words else "right", no_wrap=whole and not words)
-    for place, cells in enumerate(table.rows):
-        if place in table.breaks:
-            shown.add_section()
-            shown.add_row(Text(table.breaks[place], style="bold"))
+    for cells in table.rows:
         shown.add_row(*cells)
     return shown
 
@@ -97,7 +91,7 @@ class ProgressDisplay:
         # FORCE_COLOR makes Rich believe in a terminal at the other end of a pipe.
         self._live = self.console.is_interactive and self.console.file.isatty()
 
-    def __enter__(self) -> ProgressDisplay:
+    def __enter__(self) -> "ProgressDisplay":
         if self._live:
             self._progress.start()
         return self

@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env.errors import at
 from hydro_env.files import read_json, write_whole
 
 MANIFEST_FILE = ".hydro.json"
@@ -53,10 +54,8 @@ def output_folder(
     if resume and overwrite:
         raise ConfigurationError("--resume and --overwrite exclude each other")
     made = [path for path in (folder, *folder.parents) if not path.exists()]
-    try:
+    with at(f"{folder}: cannot be written"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigurationError(f"{folder}: cannot be written: {error.strerror}") from None
     try:
         with _listed(folder, job, writes, resume, overwrite):
             yield folder

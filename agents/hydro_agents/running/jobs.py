@@ -27,7 +27,7 @@ from joblib import Parallel, cpu_count, delayed, parallel_config
 from pydantic_core import to_json
 
 from hydro_env import ConfigurationError
-from hydro_env.compiling import SOURCES
+from hydro_env.compiling import digest_of_sources
 from hydro_env.files import write_whole
 from hydro_env.types import Array
 
@@ -104,11 +104,7 @@ class Job:
 @cache
 def digest_of_code(*packages: str) -> str:
     """Digest of the compiled plant and of some packages: results depend on them."""
-    digest = hashlib.sha256(str(SOURCES).encode())
-    for package in packages:
-        for file in sorted((Path(__file__).resolve().parents[2] / package).rglob("*.py")):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
+    return f"{digest_of_sources(*(Path(__file__).resolve().parents[2] / package for package in packages)):x}"
 
 
 def fingerprint(participant: Any) -> str:

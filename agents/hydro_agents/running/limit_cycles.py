@@ -44,7 +44,7 @@ def find_limit_cycle(position: Array, period: float, floor: float) -> LimitCycle
     values = np.asarray(position, dtype=float)
     time = np.linspace(-1.0, 1.0, len(values))
     motion = values - np.polyval(np.polyfit(time, values, _DRIFT), time)
-    amplitude, last = (float(np.sqrt(2.0) * np.std(part)) for part in (motion, motion[-(len(motion) // 3) :]))
+    amplitude, last = (np.sqrt(2.0) * np.std(part) for part in (motion, motion[-(len(motion) // 3) :]))
     cycles = int(np.argmax(np.abs(np.fft.rfft(np.hanning(len(motion)) * motion))))
     sustained = amplitude > floor and last > LASTING * amplitude and cycles >= LEAST_CYCLES
     return LimitCycle(amplitude, cycles / (len(values) * period), sustained)
@@ -73,7 +73,7 @@ def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, Floats
         "limit_cycle": sustained,
         "amplitude_um": 1e6 * amplitude,
         "frequency_hz": np.where(sustained == 1.0, frequency, np.nan),
-        "failed": (rollout.failed_at >= 0).astype(np.float64),
+        "failed": (rollout.failed_at >= 0).astype(float),
     }
 
 
@@ -93,8 +93,8 @@ def counted(rows: pd.DataFrame) -> dict[str, float]:
         "limit_cycles": len(cycles),
         "standstills": len(rows),
         "failures": int(rows["failed"].sum()),
-        "largest_amplitude_um": float(amplitude),
-        "frequency_hz": float(frequency),
+        "largest_amplitude_um": amplitude,
+        "frequency_hz": frequency,
     }
 
 
@@ -125,20 +125,14 @@ def comes_to_rest(counts: Mapping[str, Any]) -> bool:
 
 def rest_text(counts: Mapping[str, Any]) -> str:
     """What :func:`counted` found, as a phrase: limit cycle at 14 of 16 standstills, up to 7.9 mm."""
-    places, parts = f"of {int(counts['standstills'])} standstills", []
+    places, parts = f"of {counts['standstills']} standstills", []
     if counts["limit_cycles"]:
-        size = amplitude_text(counts["largest_amplitude_um"])
-        parts.append(f"limit cycle at {int(counts['limit_cycles'])} {places}, up to {size}")
+        largest = counts["largest_amplitude_um"]
+        size = f"{number(largest / 1e3, digits=2)} mm" if largest >= 1e3 else f"{number(largest, 0)} µm"
+        parts.append(f"limit cycle at {counts['limit_cycles']} {places}, up to {size}")
     if counts["failures"]:
-        parts.append(f"failure at {int(counts['failures'])} {places}")
+        parts.append(f"failure at {counts['failures']} {places}")
     return " and ".join(parts) or f"no limit cycle at {places.removeprefix('of ')}"
-
-
-def amplitude_text(micrometres: float) -> str:
-    """An amplitude in µm, or in mm if it is larger than one."""
-    if micrometres >= 1e3:
-        return f"{number(micrometres / 1e3, digits=2)} mm"
-    return f"{number(micrometres, 0)} µm"
 
 
 def rest_warning(controller: str, counts: Mapping[str, Any], baseline: bool) -> str:

@@ -1,7 +1,5 @@
 """Conditions of a run besides its settings: command, date, commit, versions of packages, and machine."""
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import functools
@@ -25,12 +23,12 @@ class Origin(NamedTuple):
     version: str  # of hydro_env, with the commit if there is one
 
     @classmethod
-    def now(cls, command: str) -> Origin:
+    def now(cls, command: str) -> "Origin":
         """The origin of a page that a command writes now."""
         return cls.of({**package_versions(), "date": date_now(), "command": command})
 
     @classmethod
-    def of(cls, facts: Mapping[str, str]) -> Origin:
+    def of(cls, facts: Mapping[str, str]) -> "Origin":
         """The origin from the facts of a run: command, date, hydro_env, commit."""
         commit = facts.get("commit", "")
         made_with = facts.get("hydro_env", "")

@@ -35,8 +35,8 @@ def share_interval(hits: int, total: int) -> Interval:
     """A share with its 95 % Wilson interval."""
     if total == 0:
         return Interval(np.nan, np.nan, np.nan)
-    interval = binomtest(int(hits), int(total)).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(hits / total, float(interval.low), float(interval.high))
+    interval = binomtest(hits, total).proportion_ci(CONFIDENCE, method="wilson")
+    return Interval(hits / total, interval.low, interval.high)
 
 
 # Bootstrap ----------------------------------------------------------------------------------------------------------
@@ -75,7 +75,7 @@ def means(values: Floats, weights: Weights) -> Floats:
 
 def _weighted(values: Array, weights: Weights) -> Floats:
     """Σ over seeds and plants of weight · weight · value (S, U)."""
-    return np.asarray(np.sum(weights.seeds * (weights.plants @ values.T), axis=1))
+    return np.sum(weights.seeds * (weights.plants @ values.T), axis=1)
 
 
 def interval(resampled: Floats, plants: int) -> Interval:

@@ -1,7 +1,5 @@
 """Tasks: from parts of YAML files, under a condition of a protocol, and with what experiments hold constant."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,13 +9,13 @@ from pydantic import AfterValidator, Field
 from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.errors import at
 from hydro_env.files import Group, validate, whole_group
-from hydro_env.mistakes import did_you_mean, unknown
+from hydro_env.mistakes import did_you_mean, refuse_unknown
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.task.faults import FAULTS
-from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
+from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
 from hydro_env.task.rig import merged, task_from
 from hydro_env.task.sensors import CHANNELS
-from hydro_env.types import Floats
+from hydro_env.types import ByName, Floats
 from hydro_env.units import Number
 
 
@@ -50,7 +48,7 @@ def own_reference(config: TaskConfig, reference: Floats) -> TaskConfig:
     return task_config(
         steady(config),
         episode_duration=(len(reference) - 1) * config.control_period,
-        references={"user": [float(value) for value in reference], "weights": {"user": 1.0}},
+        references={"user": reference.tolist(), "weights": {"user": 1.0}},
     )
 
 
@@ -68,7 +66,7 @@ def timed_task(
         ConfigurationError: task or rig is wrong, or period or latency is impossible; the message names the option.
     """
     timing = {"control_period": period, "command_latency": latency}
-    given: dict[str, Any] = {name: text for name, text in timing.items() if text is not None}
+    given: ByName = {name: text for name, text in timing.items() if text is not None}
     if not given:
         return task_config(task, rig=rig)
     try:
@@ -81,7 +79,7 @@ def timed_task(
 class Surroundings(Group):
     """Changes of an axis under a condition of a protocol: task, plants and sensors, or another rig."""
 
-    task: dict[str, Any] = Field({}, description="changed fields of the task, as in YAML")
+    task: ByName = Field({}, description="changed fields of the task, as in YAML")
     parameters: dict[str, Number | str] = Field({}, description="of every plant, SI units, by path")
     factors: dict[str, Factor] = Field({}, description="parameters relative to the nominal rig's")
     noise_factor: Factor = Field(1.0, description="on the noise of every sensor")
@@ -89,7 +87,7 @@ class Surroundings(Group):
     rig: str | None = Field(None, description="another rig: a name in configs/rigs, or a path")
 
     @whole_group
-    def _paths_exist(self) -> Surroundings:
+    def _paths_exist(self) -> "Surroundings":
         for name in ("parameters", "factors"):
             for path in getattr(self, name):
                 if path not in PARAMETER_PATHS or path in LEAKAGE_OF_THE_TASK:
@@ -122,8 +120,7 @@ class Surroundings(Group):
         """Fixed parameters of every plant of a task, for the option ``parameters`` of ``reset``."""
         fixed = dict(self.parameters)
         for path, factor in self.factors.items():
-            group, field = path.split(".")
-            fixed[path] = factor * float(getattr(getattr(task.plant, group), field))
+            fixed[path] = factor * own_value(task.plant, path)
         groups: dict[str, dict[str, float | str]] = {}
         for path, value in fixed.items():
             group, field = path.split(".")
@@ -147,7 +144,7 @@ def read_task(given: Any, file: Path) -> Any:
     return given
 
 
-def mappings(values: Any) -> dict[str, dict[str, Any]]:
+def mappings(values: Any) -> dict[str, ByName]:
     """The entries of a part of a YAML file that are mappings themselves, by name; the others are refused later."""
     entries = values.items() if isinstance(values, dict) else ()
     return {name: entry for name, entry in entries if isinstance(entry, dict)}
@@ -162,8 +159,7 @@ def named_faults(texts: Sequence[str]) -> dict[str, float]:
     faults = {}
     for text in texts:
         name, _, value = text.partition("=")
-        if name not in FAULTS:
-            raise ConfigurationError(f"--fault {text}: {unknown(name, FAULTS, 'fault')}")
+        refuse_unknown(f"--fault {text}", (name,), FAULTS, "fault")
         if name in faults:
             raise ConfigurationError(f"--fault {text}: '{name}' is given twice")
         try:

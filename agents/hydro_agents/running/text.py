@@ -1,7 +1,7 @@
 """Numbers, lists, durations and tables as text, the same on the console, in files and on all pages."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -74,14 +74,12 @@ FAMILY_NAMES = {
 }
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """A table of texts; the first column names its rows."""
 
     caption: str
     header: tuple[str, ...]
     rows: Sequence[tuple[str, ...]]
-    breaks: Mapping[int, str] = field(default_factory=dict)  # title above a row, by its number
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = (0,)) -> str:

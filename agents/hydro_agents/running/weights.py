@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError
+from hydro_env.errors import at
 from hydro_env.files import write_whole
-from hydro_env.types import Array
+from hydro_env.types import Array, Arrays, ByName
 
 Tensors = Mapping[str, Array]
 CHECKPOINT_VERSION, WEIGHTS_VERSION = 1, 2
@@ -36,7 +37,7 @@ def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mappin
     return weights
 
 
-def load_weights(path: str | Path, kind: str) -> tuple[dict[str, Array], dict[str, Any]]:
+def load_weights(path: str | Path, kind: str) -> tuple[Arrays, ByName]:
     """Read weights and settings; ``path`` is their name.
 
     Raises:
@@ -84,7 +85,7 @@ def save_checkpoint(path: Path, kind: str, tensors: Tensors, description: Mappin
     write_whole(path, _packed({**content, _DIGEST: _digest(content)}))
 
 
-def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, Array], dict[str, Any]]:
+def load_checkpoint(path: Path, kind: str) -> tuple[Arrays, ByName]:
     """Read what :func:`save_checkpoint` wrote.
 
     Raises:
@@ -95,25 +96,6 @@ def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, Array], dict[str, 
     if digest is None or _DESCRIPTION not in tensors or not np.array_equal(digest, _digest(tensors)):
         raise ConfigurationError(f"{path}: damaged, or not a checkpoint of this version")
     return tensors, _described(tensors.pop(_DESCRIPTION).tobytes(), kind, path, CHECKPOINT_VERSION)
-
-
-def require(tensors: Tensors, wanted: Tensors, where: str | Path) -> None:
-    """Check that arrays have the names, shapes and number types of the ``wanted`` ones.
-
-    Raises:
-        ConfigurationError: an array is missing, has another shape or type, or contains NaN or infinity.
-    """
-    for name, like in wanted.items():
-        if name not in tensors:
-            raise ConfigurationError(f"{where}: holds no tensor '{name}'")
-        array = tensors[name]
-        if array.shape != like.shape or array.dtype != like.dtype:
-            raise ConfigurationError(
-                f"{where}: tensor '{name}' holds {array.dtype} of shape {array.shape}, "
-                f"must be {like.dtype} of shape {like.shape}"
-            )
-        if not np.isfinite(array).all():
-            raise ConfigurationError(f"{where}: tensor '{name}' holds values that are not finite")
 
 
 def _packed(tensors: Tensors) -> bytes:
@@ -133,13 +115,11 @@ def digest_of_weights(content: bytes, settings: Mapping[str, Any]) -> str:
 
 
 def _content(path: Path) -> bytes:
-    try:
+    with at(f"{path}: cannot be read"):
         return path.read_bytes()
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def _unpacked(content: bytes, path: Path) -> dict[str, Array]:
+def _unpacked(content: bytes, path: Path) -> Arrays:
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
@@ -150,7 +130,7 @@ def _unpacked(content: bytes, path: Path) -> dict[str, Array]:
         raise ConfigurationError(f"{path}: damaged or not a safetensors file of NumPy arrays ({reason})") from None
 
 
-def _described(text: bytes, kind: str, path: Path, version: int) -> dict[str, Any]:
+def _described(text: bytes, kind: str, path: Path, version: int) -> ByName:
     try:
         settings = json.loads(text.decode())
     except (ValueError, RecursionError):  # ValueError: also for bytes that are not text, and integers of 5000 digits
@@ -165,14 +145,14 @@ def _described(text: bytes, kind: str, path: Path, version: int) -> dict[str, An
 # The state of a training ----------------------------------------------------------------------------------------------
 
 
-def flat(state: Any, name: str) -> dict[str, Array]:
+def flat(state: Any, name: str) -> Arrays:
     """Copies of the arrays and tensors of nested mappings and tuples by name, ``name.key.field``; ``None`` has none.
 
     An array with named fields becomes bytes, which safetensors holds.
     """
     if state is None:
         return {}
-    arrays: dict[str, Array] = {}
+    arrays: Arrays = {}
     if isinstance(state, Mapping | tuple):
         for key, part in _parts(state).items():
             arrays |= flat(part, f"{name}.{key}")
@@ -211,7 +191,7 @@ def restore_optimiser(optimiser: Any, arrays: Tensors, name: str) -> None:
     """Restore the state of a torch optimiser, of which :func:`flat` made arrays; before its first step it has none."""
     import torch
 
-    state: dict[int, dict[str, Any]] = {}
+    state: dict[int, ByName] = {}
     for place, array in arrays.items():
         if place.startswith(f"{name}."):
             index, key = place.removeprefix(f"{name}.").split(".")

@@ -180,7 +180,7 @@ def true_model(
 def leak_bound(protocol: LeakProtocol) -> Iterator[Cell]:
     """The bound of some windows of the conditions that a protocol names."""
     for name in protocol.bound_conditions:
-        condition, config = protocol.conditions[name], protocol.task_in(name)
+        condition, config = protocol.conditions[name], protocol.tasks[name]
         begin = 0.0 if condition.begins == "at rest" else condition.duration
         times = (begin, condition.duration - config.control_period)
         for level in protocol.levels_in(name):

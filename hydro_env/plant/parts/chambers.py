@@ -1,7 +1,5 @@
 """The cylinder's two chambers and the oil in them: volumes, pressure rates, cavitation; (8), (9), (12), (13)."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -28,7 +26,7 @@ class Cylinder(Group):
     end_stop_damping: Number = quantity(1e4, "N s/m", "assumed", 0.0, 1e7)
 
     @whole_group
-    def _rod_fits_in_bore(self) -> Cylinder:
+    def _rod_fits_in_bore(self) -> "Cylinder":
         for name in ("rod_diameter", "rod_diameter_a"):
             if getattr(self, name) >= self.bore_diameter:
                 raise ValueError(

@@ -1,10 +1,7 @@
 """Friction of seals and guides: none, Coulomb, Stribeck or LuGre."""
 
-from __future__ import annotations
-
 import math
-from enum import StrEnum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from pydantic import Field
 
@@ -13,22 +10,14 @@ from hydro_env.files import Group, whole_group
 from hydro_env.plant.kinks import FAR
 from hydro_env.units import Number, quantity
 
-
-class FrictionModel(StrEnum):
-    """Friction laws; each adds one effect to the law before it."""
-
-    NONE = "none"
-    COULOMB = "coulomb"
-    STRIBECK = "stribeck"  # Hess & Soom (1990)
-    LUGRE = "lugre"  # Canudas de Wit et al. (1995)
+FrictionModel = Literal["none", "coulomb", "stribeck", "lugre"]
+"""Friction laws; each adds one effect to the law before it; Hess & Soom (1990), Canudas de Wit et al. (1995)."""
 
 
 class Friction(Group):
     """Friction of seals and guides."""
 
-    model: FrictionModel = Field(
-        FrictionModel.STRIBECK, description="assumed; Hess & Soom (1990), Canudas de Wit et al. (1995)"
-    )
+    model: FrictionModel = Field("stribeck", description="assumed; Hess & Soom (1990), Canudas de Wit et al. (1995)")
     coulomb_force: Number = quantity(120.0, "N", "assumed", 0.0, 1e6)
     breakaway_force: Number = quantity(180.0, "N", "assumed", 0.0, 1e6)
     stribeck_velocity: Number = quantity(0.012, "m/s", "assumed", 1e-5, 10.0)
@@ -37,10 +26,10 @@ class Friction(Group):
     bristle_damping: Number = quantity(1e3, "N s/m", "assumed; lugre: of the seal's deflection", 0.0, 1e7)
 
     @whole_group
-    def _breakaway_is_the_peak(self) -> Friction:
-        if self.model == FrictionModel.LUGRE and self.coulomb_force <= 0.0:
+    def _breakaway_is_the_peak(self) -> "Friction":
+        if self.model == "lugre" and self.coulomb_force <= 0.0:
             raise ValueError("coulomb_force = 0 N must be above 0 with model lugre; model none has no friction")
-        if self.model in (FrictionModel.STRIBECK, FrictionModel.LUGRE) and self.breakaway_force < self.coulomb_force:
+        if self.model in ("stribeck", "lugre") and self.breakaway_force < self.coulomb_force:
             least = f"coulomb_force = {self.coulomb_force:g} N"
             raise ValueError(f"breakaway_force = {self.breakaway_force:g} N must not be below {least}")
         return self
@@ -48,9 +37,9 @@ class Friction(Group):
     @property
     def largest_force(self) -> float:
         """Force in N that must be overcome to start moving."""
-        if self.model == FrictionModel.NONE:
+        if self.model == "none":
             return 0.0
-        return self.coulomb_force if self.model == FrictionModel.COULOMB else self.breakaway_force
+        return self.coulomb_force if self.model == "coulomb" else self.breakaway_force
 
 
 class FrictionCoefficients(NamedTuple):
@@ -65,10 +54,7 @@ class FrictionCoefficients(NamedTuple):
     inverse_transition_velocity: float  # 1 / v_t, s/m
 
 
-_COULOMB, _STRIBECK, _LUGRE = (
-    float(list(FrictionModel).index(model))
-    for model in (FrictionModel.COULOMB, FrictionModel.STRIBECK, FrictionModel.LUGRE)
-)
+_, _COULOMB, _STRIBECK, _LUGRE = range(4)  # numbers of the laws
 
 
 @inline

@@ -5,8 +5,6 @@ two, and half a column between the last cell and the chamber. The chain lowers t
 that is closed at the valve by about 1 %.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -35,7 +33,7 @@ class Lines(Group):
         return self.length_a > 0.0
 
     @whole_group
-    def _both_lines(self) -> Lines:
+    def _both_lines(self) -> "Lines":
         if (self.length_a > 0.0) != (self.length_b > 0.0):
             raise ValueError(f"length_a = {self.length_a:g} m, length_b = {self.length_b:g} m: give both, or none")
         for side in ("a", "b"):

@@ -1,9 +1,6 @@
 """The supply: pump, relief valve, and accumulator or oil in the line (Figs 3 and 11)."""
 
-from __future__ import annotations
-
-from enum import StrEnum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from pydantic import Field
 
@@ -12,13 +9,8 @@ from hydro_env.files import Group, whole_group
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 from hydro_env.units import Number, quantity, written
 
-
-class SupplyModel(StrEnum):
-    """Source of the supply pressure."""
-
-    CONSTANT = "constant"
-    ACCUMULATOR = "accumulator"  # pump, relief valve and accumulator
-    PUMP = "pump"  # the same without accumulator: the oil in the line alone
+SupplyModel = Literal["constant", "accumulator", "pump"]
+"""Source of the supply pressure: constant; pump, relief valve and accumulator; the oil in the line instead of it."""
 
 
 class Supply(Group):
@@ -27,7 +19,7 @@ class Supply(Group):
     ``pump_flow`` 0 means that the pump does not run, ``relief_slope`` 0 that there is no relief valve.
     """
 
-    model: SupplyModel = Field(SupplyModel.ACCUMULATOR, description="paper, Figs 3 and 11")
+    model: SupplyModel = Field("accumulator", description="paper, Figs 3 and 11")
     pressure: Number = quantity(70e5, "Pa", "assumed; constant supply, or setting of the relief valve", 1e5, 1e8)
     tank_pressure: Number = quantity(1e5, "Pa", "assumed; back pressure of the return line", 0.0, 1e7)
     pump_flow: Number = quantity(2.15e-4, "m³/s", "derived; 9.4 cm³ × 1450 1/min × 0.95", 0.0, 1.0)
@@ -38,16 +30,16 @@ class Supply(Group):
     polytropic_index: Number = quantity(1.3, "1", "assumed", 1.0, 1.7)
 
     @whole_group
-    def _supply_above_tank(self) -> Supply:
+    def _supply_above_tank(self) -> "Supply":
         if self.pressure <= self.tank_pressure:
             tank = written(self.tank_pressure, "Pa")
             raise ValueError(f"pressure = {written(self.pressure, 'Pa')} must be above tank_pressure = {tank}")
-        if self.model != SupplyModel.CONSTANT and self.relief_slope == 0.0 and self.pump_flow > 0.0:
+        if self.model != "constant" and self.relief_slope == 0.0 and self.pump_flow > 0.0:
             raise ValueError(
                 f"relief_slope = 0 with pump_flow = {written(self.pump_flow, 'm³/s')}: nothing limits the pressure; "
                 f"without a relief valve pump_flow must be 0 (the pump does not run) or model constant"
             )
-        if self.model == SupplyModel.ACCUMULATOR and self.precharge_pressure >= self.pressure:
+        if self.model == "accumulator" and self.precharge_pressure >= self.pressure:
             raise ValueError(
                 f"precharge_pressure = {written(self.precharge_pressure, 'Pa')} must be below pressure = "
                 f"{written(self.pressure, 'Pa')}, else the accumulator stays empty"
@@ -57,7 +49,7 @@ class Supply(Group):
     @property
     def is_regulated(self) -> bool:
         """Whether pump and relief valve together hold the pressure."""
-        return self.model != SupplyModel.CONSTANT and self.pump_flow > 0.0
+        return self.model != "constant" and self.pump_flow > 0.0
 
 
 class SupplyCoefficients(NamedTuple):
@@ -72,7 +64,7 @@ class SupplyCoefficients(NamedTuple):
     accumulator_volume: float  # V_0, m³
 
 
-_ACCUMULATOR, _PUMP = (float(list(SupplyModel).index(model)) for model in (SupplyModel.ACCUMULATOR, SupplyModel.PUMP))
+_, _ACCUMULATOR, _PUMP = range(3)  # numbers of the models
 
 
 @inline

@@ -1,8 +1,7 @@
 """The 4/3 servo valve: drive coil, spool, and the four metering edges; (1) to (3) and (18), rows 5 to 7."""
 
 import math
-from enum import StrEnum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -12,13 +11,8 @@ from hydro_env.files import Group
 from hydro_env.plant.kinks import FAR, time_to_cover
 from hydro_env.units import Number, quantity
 
-
-class ValveModel(StrEnum):
-    """Which parts of the valve have dynamics; each later model has fewer."""
-
-    DRIVE = "drive"  # coil and spool
-    SPOOL = "spool"  # the current follows the command at once
-    IDEAL = "ideal"  # the spool follows at once
+ValveModel = Literal["drive", "spool", "ideal"]
+"""Which parts of the valve have dynamics; each later model has fewer."""
 
 
 class Valve(Group):
@@ -28,7 +22,7 @@ class Valve(Group):
     ``ideal`` (the spool follows at once).
     """
 
-    model: ValveModel = Field(ValveModel.DRIVE, description="paper, eqs (1) and (18)")
+    model: ValveModel = Field("drive", description="paper, eqs (1) and (18)")
     rated_flow: Number = quantity(10e-3 / 60, "m³/s", "paper, Table 1 (10 l/min)", 1e-7, 0.1)
     rated_pressure_drop: Number = quantity(70e5, "Pa", "paper, Table 1; over both edges", 1e4, 1e8)
     natural_frequency: Number = quantity(500.0, "rad/s", "assumed (80 Hz)", 1.0, 1e4)
@@ -85,7 +79,7 @@ class ValveCoefficients(NamedTuple):
     ideal_spool: float  # 1 if the spool follows the command at once
 
 
-_DRIVE, _IDEAL = (float(list(ValveModel).index(model)) for model in (ValveModel.DRIVE, ValveModel.IDEAL))
+_DRIVE, _SPOOL, _IDEAL = range(3)  # numbers of the models
 
 
 @inline

@@ -7,7 +7,7 @@ import pytest
 
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.detection.monitor import load_head
+from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.learning.loading import SHIPPED_WEIGHTS, load_controller
 from hydro_agents.learning.trainers import TRAINERS
 from hydro_env import TaskConfig
@@ -21,7 +21,7 @@ AXES, STEPS = 3, 45
 def everything():
     """One of every kind that can be had by name, and what watches one."""
     found = {kind: load_controller(kind, CONFIG, kind) for kind in [*CONTROLLERS, *SHIPPED_WEIGHTS]}
-    return found | {"leakage head": load_head(None, CONFIG)}
+    return found | {"leakage head": HeadDetector.load().on(CONFIG)}
 
 
 EVERYTHING = everything()
@@ -32,7 +32,7 @@ def test_every_registered_kind_is_tried():
     assert set(CONTROLLERS) <= set(EVERYTHING)
     # Every trainer makes policies of one class, so that the shipped one stands for all.
     made = {trainer.load.__annotations__["return"] for trainer in TRAINERS.values()}
-    assert made == {type(EVERYTHING["ppo"]).__name__}
+    assert made == {type(EVERYTHING["ppo"])}
 
 
 def run(controller, state, steps, episode_start=None):

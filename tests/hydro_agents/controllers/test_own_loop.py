@@ -6,7 +6,7 @@ import pytest
 from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.controllers.own_loop import LOST_TIME, OwnLoop
 from hydro_agents.controllers.pid import PIDGains
-from hydro_agents.detection.monitor import load_head
+from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.learning.loading import shipped
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
@@ -90,7 +90,7 @@ def test_engineering_units_differ_by_rounding_alone():
 
 
 def test_the_head_reads_what_it_reads_in_the_environment():
-    driven("pid", periods=TASK.steps - 1, head=load_head(None, TASK))
+    driven("pid", periods=TASK.steps - 1, head=HeadDetector.load().on(TASK))
 
 
 def at_rest(loop, **changed):

@@ -8,7 +8,7 @@ from sklearn.metrics import roc_auc_score
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.detection.detector import MeasuredColumns, Windows, measured_run
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.monitor import HeadDetector, load_head
+from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
@@ -29,7 +29,7 @@ def test_the_head_for_any_axis_finds_leaks_on_rigs_that_it_never_saw(task):
     sizes = np.repeat([0.01, 1.0], 60)
     cases = Cases(VALIDATION_SEEDS.start + 990_000 + np.arange(120), large * sizes)
     signals, _ = measured_run(task, FlowLinearising(FlowLinearisingGains(), task), cases)
-    found = load_head(None, task).estimate_windows(signals)
+    found = HeadDetector.load().on(task).estimate_windows(signals)
     assert roc_auc_score(sizes == 1.0, found.probability) > 0.9
     assert 0.3 < np.median(found.flow_lpm[sizes == 1.0]) / large < 1.6
 
@@ -65,7 +65,6 @@ def test_the_shipped_head_serves_its_rig_and_the_one_for_any_axis_the_others():
     detector, other = HeadDetector.load(), RIGS[0]
     assert detector.on(TaskConfig()).settings == ONE.settings
     assert detector.on(other).settings == ANY.moved_to(other).settings
-    assert load_head(None, TaskConfig()).settings == ONE.settings
     signals, _ = measured_run(
         other, FlowLinearising(FlowLinearisingGains(), other), Cases(VALIDATION_SEEDS.start + 995_000 + np.arange(8))
     )

@@ -107,9 +107,9 @@ def test_the_detector_knows_the_rig_and_nothing_else_of_a_condition():
     }
     protocol = small(conditions=conditions)
     assert protocol.known_task("loud") == protocol.task
-    assert protocol.task_in("loud").sensors.position.noise == 2.0 * protocol.task.sensors.position.noise
+    assert protocol.tasks["loud"].sensors.position.noise == 2.0 * protocol.task.sensors.position.noise
     assert protocol.cases_in("loud", 1.0, 3).parameters["load"]["mass"] == 2.0 * protocol.task.plant.load.mass
-    assert protocol.known_task("other").plant == protocol.task_in("other").plant != protocol.task.plant
+    assert protocol.known_task("other").plant == protocol.tasks["other"].plant != protocol.task.plant
     np.testing.assert_array_equal(protocol.cases_in("null", 1.0, 3).faults["valve_null_shift"], [0.02] * 3)
 
 

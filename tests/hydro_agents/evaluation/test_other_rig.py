@@ -11,7 +11,7 @@ from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.evaluation import study as settings
 from hydro_agents.evaluation.study import default_study
-from hydro_agents.learning import rig_gains
+from hydro_agents.learning import loading
 from hydro_agents.learning.loading import shipped, usual_gains
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import PlantParameters, TaskConfig
@@ -75,7 +75,7 @@ def test_a_study_leaves_out_what_cannot_work(files, capsys):
 def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, capsys, monkeypatch):
     rig, file = files
     monkeypatch.setattr(settings, "searched_gains", lambda *_: PIDGains())
-    monkeypatch.setattr(rig_gains, "searched_gains", lambda *_: FlowLinearisingGains())  # of what the policy corrects
+    monkeypatch.setattr(loading, "searched_gains", lambda *_: FlowLinearisingGains())  # of what the policy corrects
     on_pid = STUDY.replace("corrects: Flow linearisation", "corrects: PID").replace(", see_estimates: true", "")
     file.write_text(on_pid)
     study = default_study(file, rig=rig).with_gains_of_rig()

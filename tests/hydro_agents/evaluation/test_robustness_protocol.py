@@ -1,6 +1,7 @@
 """Conditions: what each changes, what it leaves alone, and what is refused."""
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from refusal import refused
@@ -16,7 +17,7 @@ from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 def plants_of(protocol, name):
     """Parameters of every plant of a condition."""
     cases = protocol.cases_of(name, protocol.cases_in(name))
-    env = ServoHydraulicVectorEnv(len(cases), protocol.task_in(name), info=False)
+    env = ServoHydraulicVectorEnv(len(cases), protocol.tasks[name], info=False)
     options = {"leakage_flow_lpm": cases.leakage_flow_lpm, "parameters": cases.parameters or {}}
     env.reset(seed=[int(seed) for seed in cases.seeds], options=options)
     return [env.axes.parameters(axis) for axis in range(len(cases))]
@@ -41,14 +42,14 @@ def test_noise_and_bias_are_multiplied_on_every_sensor_and_the_controller_is_not
         "late": {"task": {"command_latency": 0.004}},
     }
     protocol = small(conditions=conditions | {"heavy": {"factors": {"load.mass": 2.0}}})
-    own, loud, off = protocol.task.sensors, protocol.task_in("loud").sensors, protocol.task_in("off").sensors
+    own, loud, off = protocol.task.sensors, protocol.tasks["loud"].sensors, protocol.tasks["off"].sensors
     for channel in ("position", "pressure_a", "pressure_b", "spool_position"):
         mine, noisy, biased = (getattr(sensors, channel) for sensors in (own, loud, off))
         assert (noisy.noise, noisy.bias) == (2.0 * mine.noise, mine.bias)
         assert (biased.noise, biased.bias) == (mine.noise, 3.0 * mine.bias)
         assert min(mine.noise, mine.bias) > 0.0
-    assert protocol.task_in("heavy").plant == protocol.task.plant
-    assert (protocol.task_in("late").command_latency, protocol.task_in("late").sensors) == (0.004, own)
+    assert protocol.tasks["heavy"].plant == protocol.task.plant
+    assert (protocol.tasks["late"].command_latency, protocol.tasks["late"].sensors) == (0.004, own)
 
 
 def test_cases_are_paired_over_conditions_and_leaks_and_disjoint_from_the_ordinary_evaluation():
@@ -68,7 +69,7 @@ def test_cases_are_paired_over_conditions_and_leaks_and_disjoint_from_the_ordina
 
 def test_the_shipped_protocols_are_possible_and_as_wide_as_promised():
     protocol = named("robustness")
-    table = protocol.table()
+    table = pd.DataFrame(protocol.rows())
     assert set(GROUPS) == set(table["group"])
     assert table["label"].is_unique
     # Every drawn parameter is varied by itself.
@@ -82,7 +83,7 @@ def test_the_shipped_protocols_are_possible_and_as_wide_as_promised():
             low, high = draw.bounds(own)
             assert own * min(entries) < low
             assert own * max(entries) > high
-    assert len(named("quick").table()) < 12
+    assert len(list(named("quick").rows())) < 12
 
 
 def test_a_file_names_its_task_rigs_and_gains_by_path_and_the_digest_follows_all(tmp_path):
@@ -94,7 +95,7 @@ def test_a_file_names_its_task_rigs_and_gains_by_path_and_the_digest_follows_all
     protocol = RobustnessProtocol.from_yaml(path)
     assert protocol.task.episode_duration == 0.5
     assert protocol.conditions["rig"].controllers["PID"] == {"proportional": 12.0}
-    assert protocol.task_in("rig").plant.load.mass == 20.0
+    assert protocol.tasks["rig"].plant.load.mass == 20.0
     assert RobustnessProtocol.from_yaml(path).sha256 == protocol.sha256
     gains.write_text("proportional: 13.0\n")
     assert RobustnessProtocol.from_yaml(path).sha256 != protocol.sha256

@@ -80,7 +80,7 @@ def test_a_condition_that_cannot_begin_is_told_and_the_others_stay():
     conditions = {"plain": {}, "bent": {"parameters": {"load.external_force": 9e4}}}
     results = run(small(conditions=conditions), Participants({"P": Proportional()}))
     assert set(results.part("cases")["condition"]) == {"plain"}
-    assert "P under bent: the condition cannot begin:" in results.errors[0]
+    assert "P under bent: the run cannot begin:" in results.errors[0]
 
 
 # Who runs where ------------------------------------------------------------------------------------------------------

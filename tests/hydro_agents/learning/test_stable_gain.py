@@ -3,7 +3,7 @@
 import pytest
 
 from hydro_agents.controllers.pid import PID, PIDGains
-from hydro_agents.learning import rig_gains, stable_gain
+from hydro_agents.learning import loading, stable_gain
 from hydro_agents.learning.loading import load_controller, shipped, usual_gains
 from hydro_agents.learning.rig_gains import gain_sets
 from hydro_agents.learning.stable_gain import (
@@ -71,7 +71,7 @@ def test_a_pid_on_a_rig_that_nobody_tuned_takes_its_gains_from_the_rig(task, mon
     assert own.gains in gain_sets("pid", task)
     assert rests(own, task, 6)
     found = pid_from_figures(task)
-    monkeypatch.setattr(rig_gains, "searched_gains", lambda kind, _: found)
+    monkeypatch.setattr(loading, "searched_gains", lambda kind, _: found)
     assert load_controller("pid", task, "mine").gains == found  # a command searches
 
 
