@@ -1,7 +1,5 @@
 """The command line in this process (fast) and in one of its own (signals, pipes, encodings), for tests."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

@@ -3,8 +3,6 @@
 It shares only the names of the states with the compiled one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from math import inf, pi, sqrt
 

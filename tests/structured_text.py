@@ -3,8 +3,6 @@
 blark judges the grammar of a whole text, in a slow test: it takes a minute.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 import operator

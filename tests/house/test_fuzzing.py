@@ -7,7 +7,6 @@ tests/hydro_env/test_files.py, benchmarks/hostile_inputs.py.
 import contextlib
 import json
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -111,7 +110,7 @@ STUDY = read_yaml(config_folder() / "studies" / "default.yaml")
 SMALL_TASK = {**TaskConfig().model_dump(mode="json"), "episode_duration": 0.05}
 
 
-def use_rig(folder: Path, values: Any) -> None:
+def use_rig(folder, values):
     parameters = refused_or_done(PlantParameters.from_dict, values)
     if parameters is not None:
         refused_or_done(refuse_unworkable, parameters)
@@ -119,13 +118,13 @@ def use_rig(folder: Path, values: Any) -> None:
         refused_or_done(simulate, parameters, [1.0, -1.0], 1e-3)
 
 
-def use_task(folder: Path, values: Any) -> None:
+def use_task(folder, values):
     env = refused_or_done(ServoHydraulicEnv, values)
     if env is not None and refused_or_done(env.reset, seed=0) is not None:
         refused_or_done(env.step, np.zeros(1, dtype=np.float32))
 
 
-def use_study(folder: Path, values: Any) -> None:
+def use_study(folder, values):
     try:
         content = yaml.safe_dump(values, allow_unicode=True).encode("utf-8", "surrogatepass")
     except yaml.YAMLError:
@@ -136,14 +135,14 @@ def use_study(folder: Path, values: Any) -> None:
         refused_or_done(study.check)
 
 
-def use_options(folder: Path, options: Any) -> None:
+def use_options(folder, options):
     for env in (ServoHydraulicEnv(SMALL_TASK), ServoHydraulicVectorEnv(3, SMALL_TASK)):
         if refused_or_done(env.reset, seed=0, options=options) is None:
             env.reset(seed=1)
         env.step(np.zeros(env.action_space.shape, dtype=np.float32))
 
 
-def use_actions(folder: Path, drawn: Any) -> None:
+def use_actions(folder, drawn):
     action, seed = drawn
     for each in (ServoHydraulicEnv(SMALL_TASK), ServoHydraulicVectorEnv(2, SMALL_TASK)):
         each.reset(seed=0)
@@ -187,7 +186,7 @@ def test_damage_is_answered_with_one_line(target, cases, tmp_path, monkeypatch):
         print_blob=False,
     )
     @given(strategy)
-    def run(case: Any) -> None:
+    def run(case):
         check(tmp_path, case)
 
     run()

@@ -3,8 +3,6 @@
 Run as a program, in a copy, this file carries out the ``try_…`` functions that it is given.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -75,7 +73,7 @@ def sources(tmp_path):
     return tmp_path
 
 
-def run(root: Path, *trials: str) -> None:
+def run(root, *trials):
     variables = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
     command = [sys.executable, __file__, *trials]
     done = subprocess.run(
@@ -132,17 +130,17 @@ def lively_episode(**task) -> np.ndarray:
 FITTED = {"supply_pressure": {"fitted": True}}
 
 
-def try_leak_law() -> None:
+def try_leak_law():
     """Two litres per minute are two, by the new law too, wherever the project speaks of leaks: the new cases run."""
     leak_cases("turbulent and not estimator")
 
 
-def leak_cases(chosen: str) -> None:
+def leak_cases(chosen):
     tests = str(ROOT / "tests/hydro_env/test_leak_laws.py")
     assert pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-k", chosen, tests]) == 0
 
 
-def try_plant() -> None:
+def try_plant():
     voltage = np.repeat([8.0, -8.0, 0.4, -10.0], 10)
     plain = PlantParameters()
     notched = plain.replace(valve={"edges": "notched"})
@@ -180,7 +178,7 @@ def try_plant() -> None:
     np.testing.assert_allclose(np.trapezoid(heat, warm.time), stored, rtol=0.02)
 
 
-def try_task() -> None:
+def try_task():
     # The signal: observed with its own noise; all others as without it, bit for bit, and as before the recipes.
     before, after = lively_episode(), lively_episode(sensors=FITTED)
     np.testing.assert_allclose(before[:, :-1], np.load("before.npy")[:, :-1], rtol=0, atol=1e-3)
@@ -212,7 +210,7 @@ def try_task() -> None:
         assert (turns > steps / 2).sum() > (turns < steps / 2).sum() >= 1
 
 
-def try_agents() -> None:
+def try_agents():
     from hydro_agents import evaluate
     from hydro_agents.evaluation.study import StudySettings
     from hydro_agents.evaluation.study_run import train_controller
@@ -239,7 +237,7 @@ def try_agents() -> None:
     assert error["damped"] < error["TD3"]  # which has hardly learned
 
 
-def try_detector() -> None:
+def try_detector():
     from hydro_agents.detection.detector import Windows
     from hydro_agents.detection.detectors import make_detector
     from hydro_agents.evaluation.leak_protocol import LeakProtocol, simulated_windows
@@ -259,7 +257,7 @@ def try_detector() -> None:
     assert "needs the position" in detector.refuses(task_config(sensors={"spool_position": {"fitted": False}}), 400)
 
 
-def try_evaluation() -> None:
+def try_evaluation():
     from hydro_agents.evaluation.participants import participants
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
     from hydro_agents.evaluation.runner import run as run_protocol

@@ -3,8 +3,6 @@
 Run from the repository root after a deliberate change of the physics: python tests/reference/make.py
 """
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

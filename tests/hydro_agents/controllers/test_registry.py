@@ -1,7 +1,5 @@
 """Controllers by name: kinds, modules of one's own, and one clear line for what is wrong."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from refusal import refused
@@ -74,7 +72,7 @@ def test_what_is_wrong_is_told_in_one_line_with_its_name(kind, settings, message
             load_controller(kind, CONFIG, "mine")
 
 
-def test_the_file_tells_each_gain_in_the_units_of_a_plc_and_reads_back_unchanged(tmp_path: Path) -> None:
+def test_the_file_tells_each_gain_in_the_units_of_a_plc_and_reads_back_unchanged(tmp_path):
     gains = PIDGains(proportional=20.0, integral=40.0, derivative=0.5, reference_lead=0.012, lead_in_integral=False)
     shown = {row.name: row.in_practice for row in gain_rows(gains)}
     # A command of 1 is 10 V: 20 /m are 200 V/m.
@@ -89,7 +87,7 @@ def test_the_file_tells_each_gain_in_the_units_of_a_plc_and_reads_back_unchanged
     assert controller_from_gains(file, TaskConfig()).gains == gains
 
 
-def test_the_folder_of_a_controller_stands_for_its_weights_or_gains(tmp_path: Path) -> None:
+def test_the_folder_of_a_controller_stands_for_its_weights_or_gains(tmp_path):
     assert found_in(tmp_path) == str(tmp_path)
     (tmp_path / "gains.yaml").write_text("proportional: 12.0\n", encoding="utf-8")
     assert found_in(tmp_path) == str(tmp_path / "gains.yaml")

@@ -1,7 +1,5 @@
 """The leak test: its steps, limits and bound, and the leak that it reads."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
