@@ -324,7 +324,7 @@ def position_error(figures: Figures) -> float:
 
 
 def _sensors(figures: Figures) -> ByName:
-    """ByName of the sensors that were given; what is not given follows from the rig."""
+    """Fields of the sensors that were given; what is not given follows from the rig."""
     sensors = {}
     if "pressure_sensors" in figures:
         sensors["pressures_at"] = figures["pressure_sensors"]

@@ -254,7 +254,7 @@ class LeakageHead:
         return LeakageEstimate(*answers.T)
 
     def judge(self, features: Singles) -> Floats:
-        """ByName of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
+        """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
         tensors = self.tensors
         rig = np.tile(self.rig, (len(features), 1))  # empty in a head for one rig
         inputs = standardised(np.concatenate([features, rig], axis=1), tensors["mean"], tensors["scale"])
