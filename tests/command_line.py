@@ -24,7 +24,7 @@ class Answer(NamedTuple):
     stderr: str
 
 
-def hydro(*arguments: object, columns: int = 120) -> Answer:
+def hydro(*arguments, columns=120):
     """Run ``hydro`` in this process; an exception that it lets through fails the test."""
     out, errors, code = io.StringIO(), io.StringIO(), 0
     given, numbers = sys.argv, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -46,14 +46,14 @@ def hydro(*arguments: object, columns: int = 120) -> Answer:
     return Answer(code, out.getvalue(), errors.getvalue())
 
 
-def done(*arguments: object) -> Answer:
+def done(*arguments):
     """Run ``hydro`` in this process; it must succeed."""
     answer = hydro(*arguments)
     assert answer.returncode == 0, answer.stderr
     return answer
 
 
-def environment(**variables: str) -> dict[str, str]:
+def environment(**variables):
     """Variables of a process that runs this checkout."""
     return {
         **os.environ,
@@ -64,18 +64,18 @@ def environment(**variables: str) -> dict[str, str]:
     }
 
 
-def hydro_process(*arguments: object, text: bool = True, **variables: str) -> subprocess.CompletedProcess:
+def hydro_process(*arguments, text=True, **variables):
     """Run ``hydro`` in a process of its own."""
     line = [*COMMAND, *map(os.fsdecode, map(os.fsencode, map(str, arguments)))]
     return subprocess.run(line, capture_output=True, text=text, check=False, env=environment(**variables), cwd=ROOT)
 
 
-def own_lines(text: str) -> list[str]:
+def own_lines(text):
     """Lines of what was printed, without the notice that something is compiled."""
     return [line for line in text.splitlines() if line.strip() and not line.startswith("hydro_env: compiling")]
 
 
-def assert_one_clear_line(answer: Answer | subprocess.CompletedProcess, *parts: str) -> None:
+def assert_one_clear_line(answer, *parts):
     """Exit code 2, and one line that holds the parts."""
     assert answer.returncode == 2, answer.stderr
     lines = own_lines(answer.stderr)

@@ -1,9 +1,7 @@
 """How this project refuses bad input."""
 
 import json
-from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 import pytest
 
@@ -12,14 +10,14 @@ from hydro_env import ConfigurationError
 
 
 @contextmanager
-def refused(message: str) -> Iterator[pytest.ExceptionInfo[ConfigurationError]]:
+def refused(message):
     """What runs inside is refused with one line, in which this regular expression is found."""
     with pytest.raises(ConfigurationError, match=message) as caught:
         yield caught
     assert len(str(caught.value).splitlines()) == 1
 
 
-def redigested(path: Path) -> None:
+def redigested(path):
     """Make weights, of which a test has changed tensors or JSON, agree with their digest again."""
     file, content = path.with_suffix(".json"), path.with_suffix(".safetensors").read_bytes()
     with suppress(ValueError, AttributeError, TypeError, RecursionError):  # no JSON, or no mapping

@@ -26,17 +26,17 @@ STATEMENT = re.compile(
 )
 
 
-def real(value: float) -> float:
+def real(value):
     return float(np.float32(value))
 
 
-def divided(a: float, b: float) -> float:
+def divided(a, b):
     if isinstance(a, int) and isinstance(b, int):
         raise TypeError("a division of integers")
     return a / b if b != 0.0 else math.nan if a == 0.0 or a != a else math.copysign(math.inf, a) * math.copysign(1.0, b)
 
 
-def compared(block: dict[str, Any], order: str, a: float, b: float) -> bool:
+def compared(block, order, a, b):
     """A comparison; with what is not a number it stops the runtime, as that of TwinCAT, unless ``block`` allows it."""
     if block["stops"] and (a != a or b != b):
         raise FloatingPointError(f"{a} {order} {b}")
@@ -68,29 +68,29 @@ FUNCTIONS: dict[str, Any] = {
 class ToPython(ast.NodeTransformer):
     """An expression of Structured Text, whose signs are those of Python, over the memory ``v``."""
 
-    def visit_Name(self, node: ast.Name) -> ast.expr:
+    def visit_Name(self, node):
         return ast.parse(f"v[{node.id.lower()!r}]", mode="eval").body
 
-    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
+    def visit_Attribute(self, node):
         return self.visit_Name(ast.Name(ast.unparse(node)))
 
-    def visit_Call(self, node: ast.Call) -> ast.expr:
+    def visit_Call(self, node):
         return ast.Call(node.func, [self.visit(each) for each in node.args], [])
 
-    def visit_Compare(self, node: ast.Compare) -> ast.expr:
+    def visit_Compare(self, node):
         left, (sign,), (right,) = self.visit(node.left), node.ops, map(self.visit, node.comparators)
         if type(sign) not in SIGNS:
             return ast.Compare(left, [sign], [right])
         return ast.Call(ast.Name("_compared"), [ast.Name("v"), ast.Constant(SIGNS[type(sign)]), left, right], [])
 
-    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
+    def visit_BinOp(self, node):
         left, right = self.visit(node.left), self.visit(node.right)
         if isinstance(node.op, ast.Div):
             return ast.Call(ast.Name("_divided"), [left, right], [])
         return ast.BinOp(left, node.op, right)
 
 
-def to_python(expression: str) -> str:
+def to_python(expression):
     text = WORD.sub(lambda word: f" {WORDS[word[0]]} ", re.sub(r"REAL#([\d.]+(?:E[-+]\d+)?)", r"_real(\1)", expression))
     return ast.unparse(ToPython().visit(ast.parse(" ".join(text.split()), mode="eval").body))
 
@@ -103,7 +103,7 @@ class FunctionBlock:
 
     stops = True
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text):
         before, block = re.split(r"^FUNCTION_BLOCK ", COMMENT.sub("", text), flags=re.MULTILINE)
         types, *functions = re.split(r"^FUNCTION (?=\w)", before, flags=re.MULTILINE)
         declarations, _, body = block.rpartition("END_VAR")
@@ -120,7 +120,7 @@ class FunctionBlock:
         self.memory = self._declared(declarations)
         self._step = self._translated(body, space)
 
-    def _declared(self, declarations: str) -> dict[str, Any]:
+    def _declared(self, declarations):
         """The variables with their initial values."""
         memory: dict[str, Any] = {}
         for names, last, kind, value in DECLARED.findall(declarations):
@@ -131,7 +131,7 @@ class FunctionBlock:
                     memory[name] = self._initial(name, kind, int(last) + 1 if last else 0, value)
         return memory
 
-    def _function(self, text: str) -> dict[str, Any]:
+    def _function(self, text):
         """A function of arrays that it changes, by its name."""
         name = text.partition(" ")[0]
         declarations, _, body = text.rpartition("END_VAR")
@@ -140,19 +140,19 @@ class FunctionBlock:
         memory = self._declared(declarations)
         step = self._translated(body, dict(FUNCTIONS))
 
-        def called(*arrays: list[float]) -> bool:
+        def called(*arrays):
             v = {**memory, **dict(zip(changed, arrays, strict=True))}
             step(v)
             return v[name.lower()]
 
         return {name: called}
 
-    def _translated(self, body: str, space: dict[str, Any]) -> Any:
+    def _translated(self, body, space):
         """A function of the memory, from statements that call functions of ``space``."""
         exec("\n".join(["def step(v):", *self._lines(body.partition("END_FUNCTION")[0].rstrip())]), space)
         return space["step"]
 
-    def _initial(self, name: str, kind: str, size: int, text: str) -> Any:
+    def _initial(self, name, kind, size, text):
         if not text:
             return [KINDS[kind]] * size if size else KINDS[kind]
         numbers = [float(one) for one in NUMBER.findall(text)]
@@ -161,7 +161,7 @@ class FunctionBlock:
             return [real(one) for one in numbers] if kind == "REAL" else numbers
         return type(KINDS[kind])(numbers[0])
 
-    def __call__(self, inputs: dict[str, Any]) -> dict[str, Any]:
+    def __call__(self, inputs):
         """Outputs of one call; the inputs have the names of the exported block, and so the outputs."""
         self.memory["stops"] = self.stops
         self.memory |= {f"gains.{name}": value for name, value in self.gains.items()}
@@ -171,7 +171,7 @@ class FunctionBlock:
         self._step(self.memory)
         return {re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower(): self.memory[name.lower()] for name in self.outputs}
 
-    def _lines(self, body: str) -> list[str]:
+    def _lines(self, body):
         lines, depth, place = [], 1, 0
         while place < len(body):
             found = STATEMENT.match(body, place)
@@ -194,6 +194,6 @@ class FunctionBlock:
         assert depth == 1
         return lines
 
-    def _assigned(self, target: str, value: str) -> str:
+    def _assigned(self, target, value):
         name = target.partition("[")[0].lower()
         return f"{to_python(target)} = {f'_real({value})' if self.kinds[name] == 'REAL' else value}"

@@ -56,7 +56,7 @@ ARRAYS = st.one_of(
 )
 
 
-def filled(shape: list[int], kind: str, value: Any) -> Any:
+def filled(shape, kind, value):
     """An array of this shape and type, filled with a value where the type can hold it."""
     array = np.zeros(shape, dtype=kind)
     with np.errstate(all="ignore"), contextlib.suppress(ValueError, TypeError, OverflowError):
@@ -65,7 +65,7 @@ def filled(shape: list[int], kind: str, value: Any) -> Any:
 
 
 @st.composite
-def damaged(draw: Any, base: Any) -> Any:
+def damaged(draw, base):
     """A copy of nested mappings and lists in which a few places hold something else, are gone, or are new."""
     tree = json.loads(json.dumps(base))
     for _ in range(draw(st.integers(1, 3))):
@@ -93,7 +93,7 @@ def damaged(draw: Any, base: Any) -> Any:
     return tree
 
 
-def refused_or_done(call: Any, *arguments: Any, **keywords: Any) -> Any:
+def refused_or_done(call, *arguments, **keywords):
     """The result, or ``None`` after an error of this project: one line, or a heading and one line per mistake."""
     try:
         return call(*arguments, **keywords)
