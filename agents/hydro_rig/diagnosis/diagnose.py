@@ -6,7 +6,6 @@ refuse makes all refuse, and a measured flow serves all.
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,8 +39,7 @@ MOST_WINDOWS = 60  # of a recording; more take longer and add little
 Read = tuple[Reading, Estimate | None]  # of each window
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(NamedTuple):
     """A recording with its verdict, and what this rests on."""
 
     recording: Recording

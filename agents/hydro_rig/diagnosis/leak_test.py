@@ -13,12 +13,10 @@ leak, plant and wear; each has its own start. The verdict follows the rules of `
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
 from hydro_agents.rigs.check import resting_place
@@ -80,8 +78,7 @@ class Step(NamedTuple):
     what: str
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """The test, and how N simulated axes run it."""
 
     task: TaskConfig  # with a worn valve
@@ -208,13 +205,11 @@ class Played:
     def __init__(self, openings: Floats) -> None:
         self.openings, self._step = openings, 0
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[NDArray[np.float32], Any]:
+    def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
         """The next opening; after the last one the valve is closed."""
         opening = self.openings[self._step] if self._step < len(self.openings) else 0.0
         self._step += 1
-        return np.full((len(observation), 1), opening, dtype=np.float32), state
+        return np.full((len(observation), 1), opening, dtype=np.float32), None
 
 
 def simulated(

@@ -2,9 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -95,8 +93,7 @@ class Verdict(NamedTuple):
         return f"{line}; {seal}"
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """What the rules of the verdict look at."""
 
     findings: Sequence[Finding]  # about the recording
@@ -121,7 +118,7 @@ class Case:
         """A faulty sensor, for reasons: it may be why a model does not hold."""
         return "; ".join(["", *self.of_weight(Weight.FAULT)[:1]])
 
-    @cached_property
+    @property
     def leak(self) -> Leak:
         """The leak of the recording."""
         return combined(self.reading)[0]

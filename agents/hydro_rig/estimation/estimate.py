@@ -1,9 +1,8 @@
 """Estimates the unknowns of recorded windows: values, uncertainty, and whether the model explains the readings."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,8 +31,7 @@ SAMPLES_PER_BATCH = 25_600  # largest number of samples, over all windows, in on
 _FIRST_SAMPLES = 6  # number of samples for the straight line that gives each start value
 
 
-@dataclass(frozen=True)
-class EstimationSettings:
+class EstimationSettings(NamedTuple):
     """Settings of the search for an estimate."""
 
     horizons: tuple[float, ...] = (0.1, 0.2, 0.4, 0.7, 1.2, 2.4, 4.8)  # s, of the first, rough fits
@@ -56,16 +54,11 @@ def estimate(
 ) -> Estimate:
     """Estimate the unknowns of measured windows: maximum a posteriori, with the simulator as model.
 
-    Args:
-        signals: (B, 5, T) or (5, T), SI: position (m), pressures a and b (Pa), spool position, command. Column k holds
-            the readings of sample k and the command that acts until one latency after sample k. NaN: no reading.
-        config: the task: the rig, its ranges, its sensors.
-        unknowns: names (:mod:`hydro_rig.estimation.unknowns`); ``None``: all that an episode draws, and the start.
-        priors: priors that replace those of the task, by name.
-        physical: known parameters of each window, (B, parameters); ``None``: those of the task's plant.
-        first: initial values by name, each (B,) or a number; ``None``: guessed from the signals.
-        settings: of the search.
-        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
+    ``signals``: (B, 5, T) or (5, T), SI: position (m), pressures a and b (Pa), spool position, command. Column k holds
+    the readings of sample k and the command that acts until one latency after it; NaN: no reading. ``unknowns``: names
+    (:mod:`hydro_rig.estimation.unknowns`); default: all that an episode draws, and the start. ``priors`` replace those
+    of the task. ``physical`` and ``boundary``: as of :class:`~hydro_rig.estimation.model.Model`. ``first``: initial
+    values by name, each (B,) or a number; default: guessed from the signals.
 
     Raises:
         ConfigurationError: a shape, a command or a name is wrong.
@@ -181,7 +174,7 @@ def search(problem: Problem, first: Floats, settings: EstimationSettings) -> Est
     random = np.random.default_rng(0)
     varied = np.array([name not in STARTS for name in problem.model.names])
     between = {(a * b) ** 0.5 for a, b in pairwise(settings.horizons)}
-    slowly = replace(settings, horizons=tuple(sorted({*settings.horizons, *between})))
+    slowly = settings._replace(horizons=tuple(sorted({*settings.horizons, *between})))
     for attempt in range(settings.restarts):
         uneven = best.white.max(axis=1) > UNEVEN * np.median(best.white, axis=1)
         again = np.flatnonzero(~best.holds | (uneven & (attempt == 0)))
@@ -227,7 +220,8 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
         errors, unlikelihood = errors_of(np.where(known, residual, 0.0), known)
     kept = wide._replace(measured=np.where(spikes, np.nan, data), errors=errors)
     again = assess(kept, scaled, directions)
-    again.widen(scaled - before, wide.model.prior.slope(scaled))
+    again.deviations[:] = np.hypot(again.deviations, (scaled - before) * wide.model.prior.slope(scaled))
+    again.remaining[:] = np.hypot(again.remaining, scaled - before)
     signal = np.where(np.isfinite(kept.measured).any(axis=2, keepdims=True), kept.measured, 0.0)  # 0: absent
     small = errors.slow <= np.maximum(LARGEST_SLOW_ERROR * np.nan_to_num(np.nanstd(signal, axis=2)), SMALL_SLOW_ERROR)
     again.holds[:] &= small.all(axis=1)

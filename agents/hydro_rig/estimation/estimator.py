@@ -13,7 +13,6 @@ of them explains widens the interval. Waves in the lines are in the model where 
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -90,7 +89,7 @@ class EstimatorDetector:
 
     threshold: float | None = None
 
-    def __init__(self, threads: int | None = 1, restarts: int = EstimationSettings.restarts) -> None:
+    def __init__(self, threads: int | None = 1, restarts: int = EstimationSettings().restarts) -> None:
         self.settings = EstimationSettings(restarts=restarts, threads=threads)
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
@@ -151,7 +150,7 @@ class EstimatorDetector:
             names,
             priors={name: prior for name, prior in priors.items() if name in names},
             first=first,
-            settings=replace(self.settings, **changes),
+            settings=self.settings._replace(**changes),
             boundary=windows.boundary,
         )
 

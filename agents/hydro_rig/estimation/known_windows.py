@@ -10,11 +10,9 @@ on what else is unknown.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.operations import ACTING
@@ -47,8 +45,7 @@ from hydro_rig.estimation.unknowns import (
 TOLERANCE = 1e-8  # tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %
 
 
-@dataclass(frozen=True)
-class KnownWindows:
+class KnownWindows(NamedTuple):
     """B windows of T samples."""
 
     signals: Floats  # (B, 5, T), SI: the measured signals (NaN without sensor) and the command that acts at each sample
@@ -117,9 +114,7 @@ class _Watcher:
         if isinstance(self.controller, TrueStateController):
             self.controller.begin(axes)
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[NDArray[np.float32], Any]:
+    def predict(self, *given: Any, **more: Any) -> Any:
         axes = self._axes
         if self._step == self.first:
             self.truth = {
@@ -131,7 +126,7 @@ class _Watcher:
         if self.first <= self._step < self.last:
             self.columns.append(np.column_stack([axes.column("measured")[:, SENSOR_COLUMNS], axes.column("command")]))
         self._step += 1
-        return self.controller.predict(observation, state, episode_start, deterministic)
+        return self.controller.predict(*given, **more)
 
 
 def _physical(axes: Axes, axis: int) -> Floats:

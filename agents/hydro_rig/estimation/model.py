@@ -67,16 +67,10 @@ class Model:
     Unknowns have two scales, between which ``prior`` converts: *values* in their units, and *scaled* values, standard
     deviations from the mean of the prior.
 
-    Args:
-        config: the task; its plant gives the known parameters, its sensors give noise and lag.
-        priors: the unknowns and their priors, by name.
-        commands: recorded commands (B, T); column k acts until one latency after sample k.
-        physical: known parameters, (B, parameters) in the order of ``PARAMETER_PATHS``; ``None``: those of the task's
-            plant.
-        start: known start states, (B, states), as of :class:`~hydro_rig.estimation.replay.Rows`. ``None``: supply
-            pressure at its setting, NaN for the states that may be, and 0 for all others.
-        threads: worker threads; ``None`` takes one per core.
-        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
+    ``commands``: (B, T), column k acts until one latency after sample k. Known are the parameters ``physical``, (B,
+    parameters) in the order of ``PARAMETER_PATHS``, the states ``start``, (B, states), as of
+    :class:`~hydro_rig.estimation.replay.Rows`, and recorded supply and tank pressure, ``boundary``, (B, 2, T), Pa; NaN,
+    ``None``: those of the task's plant, its supply at its setting. ``threads``: ``None`` takes one per core.
 
     Raises:
         ConfigurationError: a command is missing or beyond full scale.
@@ -141,10 +135,10 @@ class Model:
         other._physical, other._start = self._physical[windows], self._start[windows]
         return other
 
-    def with_priors(self, priors: Priors) -> Self:
-        """The model of the same windows with other unknowns, or other priors."""
+    def with_more(self, priors: Priors) -> Self:
+        """The model of the same windows with more unknowns behind the others."""
         other = copy(self)
-        other._set_priors(priors)
+        other._set_priors({**self.priors, **priors})
         return other
 
     def readings(self, scaled: Floats, samples: int | None = None) -> Floats:

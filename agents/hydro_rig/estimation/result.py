@@ -197,11 +197,6 @@ class Estimate:
         """Standard deviations of one unknown, (B,)."""
         return self.deviations[:, self._place(name)]
 
-    def widen(self, scaled: Floats, scale: Floats) -> None:
-        """Add a difference of scaled values, (B, P), to the uncertainty; ``scale``: value per scaled value, (B, P)."""
-        self.deviations[:] = np.hypot(self.deviations, scaled * scale)
-        self.remaining[:] = np.hypot(self.remaining, scaled)
-
     def part(self, windows: Indices) -> Self:
         """Some of the windows."""
         return replace(self, **{name: getattr(self, name)[windows] for name in _PER_WINDOW})

@@ -45,7 +45,7 @@ class Problem(NamedTuple):
 
     def with_more(self, priors: Mapping[str, Prior]) -> Problem:
         """The same windows with more unknowns behind the others."""
-        return self._replace(model=self.model.with_priors(self.model.priors | dict(priors)))
+        return self._replace(model=self.model.with_more(priors))
 
     def residual(self, scaled: Floats, samples: int | None = None) -> Floats:
         """Readings minus model, (B, R, channels, T), whitened, for scaled unknowns (B, R, P); 0: no reading."""

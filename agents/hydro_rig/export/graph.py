@@ -87,8 +87,7 @@ class EvenRun(NamedTuple):
     step: int
 
 
-@dataclass(frozen=True)
-class Graph:
+class Graph(NamedTuple):
     """Named inputs and outputs; everything between follows from the outputs."""
 
     inputs: dict[str, Node]

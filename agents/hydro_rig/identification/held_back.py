@@ -78,10 +78,9 @@ def simulate_held_back(
     rig = _Rig(config, to_vector(plant), bias, timing)
     period, count = config.control_period, max(round(START_FROM / config.control_period), 10)
     first = _first_known(part.signals[POSITION], count)
-    signals = part.signals[:, first:]
-    edge = None if part.boundary is None else part.boundary[:, first:]
+    signals, edge = part.signals[:, first:], part.boundary[:, first:]
     measured = signals[:COMMAND]
-    (simulated,) = rig.simulated(signals[None], None if edge is None else edge[None], count)
+    (simulated,) = rig.simulated(signals[None], edge[None], count)
     time = period * np.arange(signals.shape[1], dtype=np.float64)
     moves = np.zeros(len(SENSORS), np.bool_)
     for row, (values, noise) in enumerate(zip(measured, noise_of(config), strict=True)):
@@ -98,7 +97,7 @@ class _Rig(NamedTuple):
     bias: Floats  # (channels, 1), SI
     timing: Mapping[str, Prior]  # found timing and gains, where those of the task do not hold
 
-    def forecasts(self, signals: Floats, edge: Floats | None) -> Floats:
+    def forecasts(self, signals: Floats, edge: Floats) -> Floats:
         """Measured and simulated readings of forecasts from states along a part, (2, N, channels, T)."""
         period = self.config.control_period
         count = round(FORECAST_FROM / period)
@@ -109,20 +108,18 @@ class _Rig(NamedTuple):
         if not starts:
             return NO_FORECASTS
         inside = np.array(starts)[:, None] + np.arange(whole)
-        windows = np.moveaxis(signals[:, inside], 0, 1)
-        boundary = None if edge is None else np.moveaxis(edge[:, inside], 0, 1)
+        windows, boundary = (np.moveaxis(values[:, inside], 0, 1) for values in (signals, edge))
         read = self.simulated(windows, boundary, count, NULL_DRIFT)
         return np.stack([windows[:, :COMMAND], read])[..., count:]
 
-    def simulated(self, windows: Floats, boundary: Floats | None, count: int, *more: str) -> Floats:
+    def simulated(self, windows: Floats, boundary: Floats, count: int, *more: str) -> Floats:
         """Readings (N, channels, T) of windows (N, 5, T), simulated from what their first ``count`` periods say.
 
         That is their start, and ``more`` unknowns.
         """
         config, names = self.config, (*starts_of(self.config), *self.timing, *more)
         unbiased = np.concatenate([windows[:, :COMMAND] - self.bias, windows[:, COMMAND, None]], axis=1)
-        early = None if boundary is None else boundary[:, :, : count + 1]
-        first = unbiased[:, :, : count + 1]
+        first, early = (values[:, :, : count + 1] for values in (unbiased, boundary))
         plants = np.tile(self.physical, (len(windows), 1))
         found = estimate(first, config, names, priors=self.timing, physical=plants, boundary=early)
         priors = priors_of(config, names, self.timing)
@@ -157,12 +154,9 @@ def _judged(pieces: Sequence[tuple[HeldBack, Floats]]) -> Forecast:
 
 def _size(errors: Sequence[Floats]) -> float:
     """Root mean square of all numbers; NaN without any."""
-    square = count = 0.0
-    for each in errors:
-        known = each[np.isfinite(each)]
-        square += float(known @ known)
-        count += len(known)
-    return math.sqrt(square / count) if count else math.nan
+    whole = np.concatenate([np.ravel(each) for each in errors])
+    known = whole[np.isfinite(whole)]
+    return math.sqrt(known @ known / len(known)) if len(known) else math.nan
 
 
 def _share(pairs: Sequence[tuple[Floats, Floats]]) -> float:

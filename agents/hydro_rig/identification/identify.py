@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.rig import Rig
 from hydro_env.task.sensors import COMMAND, POSITION
@@ -52,7 +52,6 @@ class Identification:
     config: TaskConfig
     parts: Parts
     fit: Fit
-    plant: PlantParameters
     held_back: list[HeldBack]
 
     @cached_property
@@ -216,7 +215,7 @@ def identify(
             f"{sources[0]}: the model does not describe this axis: the fit ends at an impossible rig ({error})"
         ) from None
     held_back = [simulate_held_back(part, config, plant, fit.own()) for part in parts.held_back]
-    return Identification(recordings, checked, rig, config, parts, fit, plant, held_back)
+    return Identification(recordings, checked, rig, config, parts, fit, held_back)
 
 
 def _with_bent_valve(config: TaskConfig, rig: Rig, parts: Parts) -> tuple[TaskConfig, Rig]:

@@ -8,16 +8,7 @@ from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL, Sensor
 from hydro_env.types import Floats, Mask
 from hydro_rig.recordings.columns import MEASURED, UNITS
-from hydro_rig.recordings.findings import (
-    MOST_SPIKES,
-    Finding,
-    Findings,
-    Weight,
-    finding_of,
-    missing_weight,
-    runs_of,
-    severe_if,
-)
+from hydro_rig.recordings.findings import MOST_SPIKES, Finding, Weight, finding_of, missing_weight, runs_of, severe_if
 from hydro_rig.recordings.sampling import Sampled
 
 LONGEST_LAG = 0.3  # s, by which a position may follow its set point
@@ -45,9 +36,9 @@ LEAST_BESIDE_CURRENTS = 0.25  # the same where both read like such currents
 OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
 
-def check_channels(samples: Sampled, config: TaskConfig) -> tuple[Findings, Mask]:
+def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding], Mask]:
     """Findings about each single channel, and (5, T) which readings are invalid: stuck, lost, saturated, impossible."""
-    findings: Findings = []
+    findings: list[Finding] = []
     bad = np.zeros(samples.signals.shape, dtype=np.bool_)
 
     def found(row: int, mask: Mask, what: str, weight: Weight) -> None:
@@ -105,7 +96,7 @@ def _out_of_range(values: Floats, samples: Sampled, signal: str, config: TaskCon
     return beyond, what, Weight.SEVERE
 
 
-def _too_low_pressures(samples: Sampled, config: TaskConfig) -> Findings:
+def _too_low_pressures(samples: Sampled, config: TaskConfig) -> list[Finding]:
     """Both pressures are far below the supply: the unit is wrong, or they are the raw currents of the sensors."""
     pressures = samples.signals[[PRESSURE_A, PRESSURE_B]]
     ends = [np.nanquantile(values, [0.005, 0.995]) for values in pressures if np.isfinite(values).any()]

@@ -32,7 +32,7 @@ class Stretch(NamedTuple):
     recording: int  # its number, from 0
     begin: float  # s
     signals: Floats  # (5, T), in the order of SIGNALS
-    boundary: Floats | None = None  # (2, T), recorded supply and tank pressure, Pa
+    boundary: Floats  # (2, T), recorded supply and tank pressure, Pa; NaN: not recorded
 
 
 class Parts(NamedTuple):
@@ -49,14 +49,9 @@ class Parts(NamedTuple):
 def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Collection[int] = ()) -> Parts:
     """Choose the parts of recordings with one sample time.
 
-    Held back are, in this order: the recordings that the caller names; of recordings with three or more amplitudes of
-    the command, those with the middle one; of repeated recordings, the last with the same sensors; otherwise a stretch
-    of each recording, the last one that holds its share of the travel.
-
-    Args:
-        recordings: their samples.
-        sources: their names, for messages.
-        whole: numbers of the recordings that the caller names.
+    Held back are, in this order: the recordings whose numbers the caller names (``whole``); of recordings with three or
+    more amplitudes of the command, those with the middle one; of repeated recordings, the last with the same sensors;
+    otherwise a stretch of each recording, the last one that holds its share of the travel.
 
     Raises:
         ConfigurationError: a position is missing, a command is saturated, or too few samples are without a gap.
@@ -229,10 +224,8 @@ def _as_stretch(recording: int, windows: Windows, longest: float) -> Stretch:
     breaks = np.flatnonzero(np.abs(windows.begin[1:] - windows.end[:-1]) > 0.1 * span) + 1
     stretches = np.split(np.arange(len(windows)), breaks)
     chosen = max(stretches, key=len)[:most]
-    boundary = windows.boundary
-    return Stretch(
-        recording,
-        float(windows.begin[chosen[0]]),
-        np.concatenate(list(windows.signals[chosen]), axis=1),
-        None if boundary is None else np.concatenate(list(boundary[chosen]), axis=1),
-    )
+    signals, boundary = windows.signals[chosen], np.full((len(chosen), 2, windows.samples), np.nan)
+    if windows.boundary is not None:
+        boundary = windows.boundary[chosen]
+    joined = (np.concatenate(list(values), axis=1) for values in (signals, boundary))
+    return Stretch(recording, float(windows.begin[chosen[0]]), *joined)

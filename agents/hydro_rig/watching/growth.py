@@ -49,13 +49,9 @@ def growth(
 ) -> Growth:
     """Growth of the leak of one axis.
 
-    Args:
-        time: (L,), rising, of the readings.
-        size: (L,), the leak, also about zero; NaN: no reading.
-        limit: of the size, in its unit.
-        deviation: (L,), standard deviation of the size.
-        common: standard deviation of an error that all readings share, decades.
-        now: from which on the trend looks ahead; default: the last time.
+    ``time``, rising, ``size``, also about zero, and its standard ``deviation`` are (L,); NaN: no reading. ``common``:
+    standard deviation of an error that all readings share, decades; ``now``: from which on the trend looks ahead;
+    default: the last time.
     """
     when, what, sigma = (np.asarray(values, dtype=np.float64) for values in (time, size, deviation))
     root = np.hypot(what, 0.02 * limit)

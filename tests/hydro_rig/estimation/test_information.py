@@ -1,7 +1,5 @@
 """The Cramér–Rao bound: closed forms, what adds information, and what an estimate attains."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from refusal import refused
@@ -32,7 +30,7 @@ def seen_by(windows, *sensors, samples=None):
     for row, name in enumerate(SENSORS):
         if name not in sensors:
             signals[:, row] = np.nan
-    return replace(windows, signals=signals)
+    return windows._replace(signals=signals)
 
 
 def test_windows_hold_the_truth_and_the_faults(windows):
@@ -75,7 +73,7 @@ def test_every_signal_and_every_sample_adds_and_every_unknown_takes(windows):
 def test_the_estimate_attains_the_bound(windows):
     """The errors of many noisy copies of one window spread as the bound says."""
     copies = 48
-    one = replace(windows, **{name: values[:1] for name, values in vars(windows).items()})
+    one = windows._replace(**{name: values[:1] for name, values in windows._asdict().items()})
     priors = priors_of(CONFIG, FEW)
     model, scaled = true_model(CONFIG, one, priors)
     true = model.readings(scaled)[0] * model.noise[:, None]

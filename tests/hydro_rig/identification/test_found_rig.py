@@ -84,7 +84,7 @@ def test_a_fit_that_explains_no_window_says_so_first(misfit):
     held = HeldBack(0, 0.0, time, moving, moving + 1e-5, np.ones(4, bool))
     rig = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(8e-4, 2e-3))})
     empty = dict.fromkeys(("recordings", "checked", "parts"), ())
-    found = Identification(rig=rig, config=CONFIG, fit=fit, plant=PlantParameters(), held_back=[held], **empty)
+    found = Identification(rig=rig, config=CONFIG, fit=fit, held_back=[held], **empty)
     assert found.describes
     assert found.unexplained == (misfit > 4.0)
     assert found.verdict().startswith("no window is explained: " if misfit > 4.0 else "1 of 1 unknowns determined")
@@ -100,7 +100,7 @@ def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
     config = task_config(plant={"load": {"spring_stiffness": 0.0}}, randomisation={}, episode_duration=14.0)
     cases = Cases(VALIDATION_SEEDS.start + 997_000 + np.arange(1), families=np.array(["multi_sine"]))
     signals, _ = measured_run(config, FlowLinearising(FlowLinearisingGains(), config), cases)
-    part, valve = Stretch(0, 0.0, signals[0]), config.plant.valve
+    part, valve = Stretch(0, 0.0, signals[0], np.full((2, signals.shape[2]), np.nan)), config.plant.valve
     tested = {}
     for shift in (0.0, 0.004):
         moved = valve.model_copy(update={"null_shift": valve.null_shift + shift})
@@ -111,7 +111,9 @@ def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
     assert ahead.error[POSITION] < whole.error[POSITION]
     assert whole.share[POSITION] < 0.9 < ahead.share[POSITION]
     assert tested[0.0][0].share[POSITION] > 0.999
-    short = simulate_held_back(part._replace(signals=signals[0, :, :600]), config, config.plant, {})
+    short = simulate_held_back(
+        part._replace(signals=signals[0, :, :600], boundary=part.boundary[:, :600]), config, config.plant, {}
+    )
     assert forecast([short]) is None
 
 
