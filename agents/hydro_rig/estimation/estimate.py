@@ -221,7 +221,6 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
     kept = wide._replace(measured=np.where(spikes, np.nan, data), errors=errors)
     again = assess(kept, scaled, directions)
     again.deviations[:] = np.hypot(again.deviations, (scaled - before) * wide.model.prior.slope(scaled))
-    again.remaining[:] = np.hypot(again.remaining, scaled - before)
     signal = np.where(np.isfinite(kept.measured).any(axis=2, keepdims=True), kept.measured, 0.0)  # 0: absent
     small = errors.slow <= np.maximum(LARGEST_SLOW_ERROR * np.nan_to_num(np.nanstd(signal, axis=2)), SMALL_SLOW_ERROR)
     again.holds[:] &= small.all(axis=1)
@@ -284,7 +283,6 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
         names=model.names,
         values=values,
         deviations=deviation * model.prior.slope(scaled),
-        remaining=deviation,
         chi2_per_sample=chi2 / np.maximum(linear.known.sum(axis=(1, 2)), 1),
         misfit=misfit,
         holds=misfit < LARGEST_MISFIT,

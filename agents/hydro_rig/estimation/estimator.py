@@ -14,6 +14,7 @@ of them explains widens the interval. Waves in the lines are in the model where 
 import math
 from collections.abc import Mapping
 from functools import partial
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -265,10 +266,7 @@ def _excess(found: Estimate, task: TaskConfig) -> Floats:
 
 def _in_words(found: Estimate, faulty: Mask) -> tuple[str, ...]:
     """The faults of each window as text; the size of a fault is the median over all windows that show it."""
-    texts: list[list[str]] = [[] for _ in faulty]
+    texts = []
     for (name, wear), rows in zip(WEAR.items(), faulty.T, strict=True):
-        if rows.any():
-            text = wear.sized(float(np.median(found.value(name)[rows])))
-            for row in np.flatnonzero(rows):
-                texts[row].append(text)
-    return tuple(" and ".join(text) for text in texts)
+        texts.append(wear.sized(float(np.median(found.value(name)[rows]))) if rows.any() else "")
+    return tuple(" and ".join(compress(texts, row)) for row in faulty)

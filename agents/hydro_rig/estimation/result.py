@@ -171,7 +171,6 @@ class Estimate:
     names: tuple[str, ...]
     values: Floats  # (B, P), most probable values
     deviations: Floats  # (B, P), standard deviations
-    remaining: Floats  # (B, P), standard deviation over the prior's, both of the scaled unknown
     chi2_per_sample: Floats  # (B,), about 1 if readings and model differ only by noise
     misfit: Floats  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
     holds: Mask  # (B,), whether the model explains the readings

@@ -164,16 +164,11 @@ def _share(pairs: Sequence[tuple[Floats, Floats]]) -> float:
 
     The squares are those of the measured signal about its mean in each part; −∞ after a failure, NaN without a reading.
     """
-    square = variance = 0.0
-    count = 0
-    for measured, simulated in pairs:
-        known = np.isfinite(measured)
-        if known.any():
-            count += 1
-            square += float(np.sum((measured[known] - simulated[known]) ** 2))
-            variance += float(known.sum() * measured[known].var())
-    if not count:
+    known = [(own[seen], other[seen]) for own, other in pairs if (seen := np.isfinite(own)).any()]
+    if not known:
         return math.nan
+    square = sum(float(np.sum((own - other) ** 2)) for own, other in known)
+    variance = sum(float(len(own) * own.var()) for own, _ in known)
     return 1.0 - square / max(variance, 1e-300) if math.isfinite(square) else -math.inf
 
 
