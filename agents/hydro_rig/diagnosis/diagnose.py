@@ -61,13 +61,11 @@ def diagnosed(
     config: TaskConfig,
     choose: Callable[[Sampled], Windows],
     read: Callable[[Windows, TaskConfig], Read],
-    window: float,
     oil: Oil | None = None,
 ) -> Diagnosis:
     """Check a recording, choose windows, read them unless a finding is severe, and judge.
 
-    Windows are read with the task at their sample time; their length ``window``, s, stands in the reasons. With an oil
-    the leak is judged at 40 °C, otherwise as measured.
+    Windows are read with the task at their sample time. With an oil the leak is judged at 40 °C, otherwise as measured.
     """
     checked = check_recording(recording, config)
     config = on_grid(config, checked.samples.period)
@@ -95,7 +93,7 @@ def diagnosed(
         leak: Any = referred(Leak(*sizes), oil, temperature_of(windows))  # the oil warms up in a long recording
         reading = reading._replace(flow_lpm=leak.value, low_lpm=leak.low, high_lpm=leak.high)
     limits, blind = Limits.of(config), bool(np.isnan(recording.signals[[PRESSURE_A, PRESSURE_B]]).all())
-    verdict = judge(Case(findings, reading, limits, window, residual, blind))
+    verdict = judge(Case(findings, reading, limits, residual, blind))
     # A balance has no commands: it may decide where the rows do not fit the control period, if nothing else is severe
     # on a grid of their own.
     balance = volume_leak(recording, config)
@@ -142,7 +140,7 @@ def diagnose(
         tell(f"windows of {len(samples.time)} samples at {1.0 / samples.period:.4g} Hz", len(chosen), len(windows))
         return chosen
 
-    found = diagnosed(read_recording(path, columns), config, choose, read_windows, window)
+    found = diagnosed(read_recording(path, columns), config, choose, read_windows)
     found.checked.findings.extend(left_out)
     return found
 

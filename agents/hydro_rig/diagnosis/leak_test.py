@@ -261,7 +261,7 @@ def read_leak_test(path: Path, config: TaskConfig, columns: ColumnMap | None = N
         found.update(quantities(common))
         return _reading(common, found, config), None
 
-    return diagnosed(read_recording(path, columns), config, _windows, read, WINDOW), found
+    return diagnosed(read_recording(path, columns), config, _windows, read), found
 
 
 def _windows(samples: Sampled) -> Windows:

@@ -17,8 +17,6 @@ from hydro_rig.recordings.findings import Finding, Weight
 
 MOST = 0.5  # share of the windows that counts as "most"
 CHANGED = 3.0  # change of the leak within a recording that is told, in standard deviations of a window's reading
-SHORT = 0.5  # s; the shortest window that is recommended
-SHORTER = f"shorter ones (--window {SHORT:g}) may fit between the gaps, and read the leak less exactly"
 
 
 class Kind(StrEnum):
@@ -99,7 +97,6 @@ class Case(NamedTuple):
     findings: Sequence[Finding]  # about the recording
     reading: Reading  # of the estimator in the order of time; empty: nothing was read
     limits: Limits
-    window: float = 2.0  # s, length of a window
     residual: str = ""  # which signal differs from the model; for the reason where it does not hold
     blind: bool = False  # neither pressure was recorded
 
@@ -284,4 +281,4 @@ def _why_nothing(case: Case) -> str:
     most = Why(refused.most_common(1)[0][0])
     if most is not Why.NO_COMMANDS:
         return most.word
-    return f"commands are missing in every window; {SHORTER if case.window > SHORT else 'record without gaps'}"
+    return "commands are missing in every window; record without gaps, or read shorter ones (hydro diagnose --window)"

@@ -1,14 +1,12 @@
 """The estimator with the simulator as model, as a detector.
 
-Its unknowns are the parameters that the task draws and those that change by wear: the valve's null shift, rounding and
-lap of its edges, its flow, the return line, and offsets of the sensors. Without the latter the model would read a leak
-on an axis with a worn valve. Windows without signs of wear are fitted again without it, but with the lap, which no
+Its unknowns are the parameters that the task draws and those that change by wear, without which a worn valve would look
+like a leak. Windows without signs of wear are fitted again without it, but with the lap of the edges, which no
 nameplate tells: the simpler model gives the leak more precisely. A window at rest shows no signs of wear, whatever the
-valve is like, so that its leak keeps the uncertainty of the wear.
+valve is like, and its leak keeps the uncertainty of the wear.
 
 Where the residuals are not mere noise, the parts are tried that the file of a rig does not tell
-(:mod:`hydro_rig.estimation.structure`): a supply that moves, another load, a second mass, a seal that yields. What none
-of them explains widens the interval. Waves in the lines are in the model where the rig's file tells their lengths.
+(:mod:`hydro_rig.estimation.structure`). What none of them explains widens the interval.
 """
 
 import math

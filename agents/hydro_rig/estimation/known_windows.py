@@ -1,12 +1,10 @@
 """Windows of simulated axes: the signals that a rig measures, the hidden true values, and the Cramér–Rao bound.
 
-The bound is the smallest standard deviation with which any method can estimate an unknown from a window. The readings
-are r = h(θ) + noise, with the simulator as h, white noise of each sensor (its 16-bit steps included), and a normal
-prior of each unknown. The information about θ is then I = Jᵀ W J + P, with J = ∂h/∂θ at the truth, W the inverse
-variances of the noise and P those of the priors; no unbiased estimate of θ_i has a variance below (I⁻¹)_ii (Kay,
-*Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, chapter 3; with priors: Van Trees, *Detection,
-Estimation, and Modulation Theory* I, 1968, section 2.4). It assumes that the model has the true structure, and depends
-on what else is unknown.
+The bound is the smallest standard deviation with which any method can estimate an unknown from a window. The
+information about the unknowns θ is I = Jᵀ W J + P, with J = ∂h/∂θ of the simulated readings at the truth, W the inverse
+variances of the sensors' noise and P those of the priors; no unbiased estimate of θ_i has a variance below (I⁻¹)_ii
+(Kay, *Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, chapter 3; with priors: Van Trees,
+*Detection, Estimation, and Modulation Theory* I, 1968, section 2.4), if the model has the true structure.
 """
 
 from collections.abc import Iterator, Mapping

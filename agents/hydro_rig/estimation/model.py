@@ -31,11 +31,8 @@ from hydro_rig.estimation.unknowns import (
 )
 
 LONG_STEP, SHORT_STEP = 2.0, 0.05
-"""Steps of the finite differences, in standard deviations along each axis of the uncertainty.
-
-Long steps work where sticking friction makes the readings rough. Short steps follow a narrow, curved valley to its
-lowest point, for example at rest; long ones would reach across it.
-"""
+"""Steps of the finite differences, in standard deviations along each axis of the uncertainty. Long ones work where
+sticking friction makes the readings rough; short ones follow a narrow, curved valley, as at rest, to its end."""
 
 FIRST_STEP, FIRST_START_STEP = 3e-3, 3e-4
 """Steps of the first finite differences, in standard deviations of the prior, for parameters and for start states."""

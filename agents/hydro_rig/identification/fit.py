@@ -4,13 +4,11 @@ The windows of a recording share the parameters of the rig, and each has its own
 error of the model cannot grow, and gaps between windows do not matter.
 
 **Scatter.** With a slightly wrong model the windows of a recording contradict each other by more than the noise
-explains. The covariance is that of a sandwich whose clusters are the windows: A⁻¹ B A⁻¹ with the information A and the
-outer products B of the windows' scores. Few windows estimate B badly. Each score is therefore corrected for the share
-of the fit that its own window decides (Bell and McCaffrey, *Survey Methodology* 28, 2002), and the ratio of each
-variance to that of the model is moderated by the ratio that the unknowns have in common (Smyth, *Statistical
-Applications in Genetics and Molecular Biology* 3, 2004): a badly described direction widens its own unknowns, not all.
-
-**Recordings.** Where there are several, the clusters are also the recordings: their windows may err together.
+explains. The covariance is that of a sandwich whose clusters are the windows, and with several recordings these too:
+A⁻¹ B A⁻¹ with the information A and the outer products B of the scores. Few windows estimate B badly: each score is
+corrected for the share of the fit that its own window decides (Bell and McCaffrey, *Survey Methodology* 28, 2002), and
+the ratio of each variance to that of the model is moderated by the ratio that the unknowns have in common (Smyth,
+*Statistical Applications in Genetics and Molecular Biology* 3, 2004).
 
 **Limits.** A limit that the motion never reached, such as the slew limit of a valve, leaves the cost flat beyond the
 found value, whatever the slope at it says: the recordings do not determine it.

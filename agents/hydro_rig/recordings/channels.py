@@ -14,11 +14,8 @@ from hydro_rig.recordings.sampling import Sampled
 LONGEST_LAG = 0.3  # s, by which a position may follow its set point
 SPEED_OVER = 0.02  # s, half of the time over which the speed is taken
 LEAST_ALIKE, MOST_FLOWING = 0.97, 0.7
-"""Least correlation of a set point with the position, and largest with the speed.
-
-Of the nine families of references the set points have 0.91 to 1 and at most 0.4, but for fast sines, which remain
-unnoticed; no command of PID and PPO with more than 0.97 has less than 0.97.
-"""
+"""Least correlation of a set point with the position, and largest with the speed: of references 0.91 to 1 and at most
+0.4, but for fast sines, which remain unnoticed; no command of PID and PPO has both."""
 
 Found = tuple[Mask, str, Weight]
 MOST_AT_AN_END = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero

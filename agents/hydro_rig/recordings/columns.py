@@ -38,12 +38,8 @@ UNITS: dict[str, dict[str, float]] = {
     "flow": QUANTITIES["m³/s"],
     "oil_temperature": {"°C": 1.0, "C": 1.0},
 }
-"""SI units per unit, by signal; command and spool are fractions of full scale. Pressures are gauge pressures.
-
-The temperature of the oil stays in °C.
-
-The usual units come first.
-"""
+"""SI units per unit, by signal, the usual ones first; command and spool are fractions of full scale. Pressures are
+gauge pressures. The temperature of the oil stays in °C."""
 
 
 def factor(signal: str, unit: str, place: str) -> float:

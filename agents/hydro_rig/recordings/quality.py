@@ -40,10 +40,8 @@ LEAST_TRAVELLED = 0.05  # smallest travel, as a share of the travel from the val
 UNRELATED = 0.05  # square of the correlation of the flows below which their slope says nothing
 
 FITS, FAILS = 0.6, 0.75
-"""Unexplained share of the force: largest value of a fitting balance, smallest value of a wrong one.
-
-On the three shipped rigs it is 0 to 0.6, and 0.6 to 1.0 with exchanged chambers or a reversed position.
-"""
+"""Unexplained share of the force: largest of a fitting balance, smallest of a wrong one. On the three shipped rigs it
+is 0 to 0.6, and 0.6 to 1.0 with exchanged chambers or a reversed position."""
 
 SLOPES = (0.15, 6.0)  # valid range of the slopes of the flow balance and of spool against command, with wear and noise
 ROUNDING = 1e-4  # of full scale, by which a command at its limit may exceed it without a word

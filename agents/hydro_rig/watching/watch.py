@@ -63,7 +63,7 @@ def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_
         return windows.part(liveliest(windows, most, SECTION))
 
     with told_to(None):  # a file is one step of the progress
-        found = diagnosed(recording, config, choose, partial(read_windows, threads=1), WINDOW, oil)
+        found = diagnosed(recording, config, choose, partial(read_windows, threads=1), oil)
     verdict = found.verdict
     leak = verdict.leak or NO_LEAK
     told = [one for one in found.checked.findings if one.weight is Weight.FAULT or one.signal == "oil_temperature"]

@@ -133,6 +133,6 @@ def test_a_leak_has_the_oil_temperature_of_the_windows_that_were_read(tmp_path):
             known = {"probability": 1.0, "flow_lpm": size, "low_lpm": 0.9 * size, "high_lpm": 1.1 * size}
             return Reading.of(size, **known), None
 
-        return diagnosed(recording, CONFIG, choose, read, 2.0, oil).reading.flow_lpm[0] / 0.3
+        return diagnosed(recording, CONFIG, choose, read, oil).reading.flow_lpm[0] / 0.3
 
     assert [factor_of(0), factor_of(2)] == pytest.approx(oil.factor([20.0, 60.0]))
