@@ -7,7 +7,7 @@ import numpy as np
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.registry import kind_of
-from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PREVIEW_SCALE, PolicyFeatures
+from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PREVIEW_SCALE, Normalisation, PolicyFeatures
 from hydro_agents.learning.rig_gains import GainsFor, chosen_gains
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES
@@ -27,7 +27,10 @@ class AnyAxisFeatures(PolicyFeatures):
 
     They are the measured signals, the reference some paces ahead, what the corrected controller commands and estimates,
     a history in steps of the rig, and the data sheet. On a rig without a spool sensor the last command replaces it.
-    A policy that acts alone has the units of untuned flow linearisation.
+
+    A policy that acts alone has units by similarity: those of untuned flow linearisation on the rig of its task, on
+    another rig in proportion to full speed, pace, stroke and supply pressure. One law for dimensionless numbers serves
+    all.
 
     A correction is as large as the rig allows: in proportion to the travel that the corrected controller's error is.
 
@@ -73,6 +76,19 @@ class AnyAxisFeatures(PolicyFeatures):
         """The controller in whose units the inputs are: the corrected one, or untuned flow linearisation."""
         return self.base or FlowLinearising(FlowLinearisingGains(), self.config)
 
+    def _natural_sizes(self) -> Floats:
+        """Sizes of the inputs that move, by which rigs are compared, (moving,)."""
+        plant, own = self.config.plant, pace(self.config)
+        speed, reach = full_speed(plant), self._preview.horizon * self.config.control_period
+        sizes = dict.fromkeys(HISTORY_SIGNALS, 1.0) | dict.fromkeys(("pressure_a", "pressure_b"), plant.supply.pressure)
+        sizes |= {"position": 0.5 * plant.cylinder.stroke, "velocity_estimate": speed, "tracking_error": speed * own}
+        scale = np.array(self.layout.scale)[self._columns]
+        signals = np.array(list(sizes.values())) / scale
+        changes = np.tile(signals, (len(self.lags), 1))
+        changes[:, 0] = speed * self.config.control_period * np.array(self.lags) / scale[0]
+        ahead = np.minimum(np.array([*PREVIEW_PACES, 1.0]) * own, reach) * speed / PREVIEW_SCALE
+        return np.concatenate([signals, ahead, changes.ravel()])
+
     @property
     def size(self) -> int:
         """Number of inputs: those that move, and the data sheet."""
@@ -100,10 +116,13 @@ class AnyAxisFeatures(PolicyFeatures):
     def normalised(self, leader: Controller | None = None) -> "AnyAxisFeatures":
         """The same features with the error of the corrected controller and normalised by its values, by simulation."""
         leader = leader or self.leader
+        if self.base is None:
+            return super().normalised(leader)
         errors = family_errors(self.config, leader, ERROR_PLANTS, sensor_frame=True)
         error = math.exp(np.mean(np.log(list(errors.values())))) / (full_speed(self.config.plant) * pace(self.config))
-        features = AnyAxisFeatures(self.config, self.base, self.correction, error, len(self.lags))
-        return PolicyFeatures.normalised(features, None if self.base else leader)
+        return PolicyFeatures.normalised(
+            AnyAxisFeatures(self.config, self.base, self.correction, error, len(self.lags))
+        )
 
     def moved_to(self, config: TaskConfig, gains: GainsFor = chosen_gains) -> "AnyAxisFeatures":
         """The same features on another rig: there a simulation finds the corrected controller's gains and the units.
@@ -115,6 +134,11 @@ class AnyAxisFeatures(PolicyFeatures):
         type(base)(base.gains, config)  # names a missing sensor
         usual = task_config(config, episode_duration=TaskConfig().episode_duration)  # longer ones find other gains
         own = self.base and type(base)(gains(kind_of(base), usual), usual)
-        moved = AnyAxisFeatures(usual, own, self.correction, samples=len(self.lags)).normalised()
+        moved = AnyAxisFeatures(usual, own, self.correction, samples=len(self.lags))
+        if own is None and isinstance(self.normalisation, Normalisation):
+            ratio = (moved._natural_sizes() / self._natural_sizes()).astype(np.float32)
+            moved.normalisation = Normalisation(self.normalisation.centre * ratio, self.normalisation.unit * ratio)
+        else:
+            moved = moved.normalised()
         moved.config = config
         return moved

@@ -287,6 +287,32 @@ def test_the_units_of_rewards_are_the_errors_of_the_policy_that_a_training_start
     env.close()
 
 
+def test_a_policy_that_acts_alone_has_units_by_similarity_and_simulates_no_other_rig(monkeypatch):
+    here = AnyAxisFeatures(TASK, None).normalised()
+    monkeypatch.setattr(any_axis, "family_errors", None)
+    monkeypatch.setattr("hydro_agents.learning.features.ServoHydraulicVectorEnv", None)
+
+    def units(features, name):
+        """Of the signal now and of its change in the last step of the history, SI."""
+        place, scale = HISTORY_SIGNALS.index(name), features.layout.scale[features.layout.index(name)]
+        latest = len(HISTORY_SIGNALS) + len(PREVIEW_PACES) + 1 + place
+        return scale * features.normalisation.unit[[place, latest]]
+
+    for task in RIGS[:3]:
+        there = here.moved_to(task)
+        speeds, paces = full_speed(task.plant) / full_speed(TASK.plant), pace(task) / pace(TASK)
+        lags = there.lags[0] * task.control_period / (here.lags[0] * TASK.control_period)
+        expected = {
+            "position": (task.plant.cylinder.stroke / TASK.plant.cylinder.stroke, speeds * lags),
+            "velocity_estimate": 2 * (speeds,),
+            "pressure_b": 2 * (task.plant.supply.pressure / TASK.plant.supply.pressure,),
+            "tracking_error": 2 * (speeds * paces,),
+            "previous_command": (1.0, 1.0),
+        }
+        for name, ratio in expected.items():
+            assert units(there, name) / units(here, name) == pytest.approx(ratio, rel=1e-5), name
+
+
 def test_what_cannot_be_is_refused(policy):
     with refused("axes = 13: must be a multiple of law.count = 3"):
         validate(PPOSettings, SETTINGS.model_dump() | {"axes": 13, "minibatches": 1}, "test")
