@@ -94,8 +94,7 @@ def in_motion(part: HeldBack, channel: int) -> list[float]:
     """Simulated over measured speed minus 1, and minus measured pressure, Pa: medians of motion out, and in."""
     position = np.stack([part.measured[0], part.simulated[0]])
     speed = position[:, 50:] - position[:, :-50]
-    least = MOVING * np.nanmax(np.abs(speed[0]))
-    both = [np.all(sign * speed > least, axis=0) for sign in (1.0, -1.0)]
+    both = [np.all(sign * speed > MOVING * np.nanmax(np.abs(speed[0])), axis=0) for sign in (1.0, -1.0)]
     error = (part.simulated[channel] - part.measured[channel])[25:-25]
     ratios = [float(np.median(speed[1, moves] / speed[0, moves])) - 1.0 for moves in both]
     return ratios + [float(np.nanmedian(error[moves])) for moves in both]
