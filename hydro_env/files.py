@@ -7,7 +7,7 @@ import re
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, model_validator
@@ -41,8 +41,11 @@ class _Checked(_ModelType):
             raise described(model, error, values, name) from None
 
 
+whole_group = model_validator(mode="after")  # marks a check of a group whose fields are valid
+
+
 class Group(BaseModel, metaclass=_Checked):
-    """A frozen group of settings; unknown keys and NaN are errors."""
+    """A frozen group of settings; unknown keys, NaN, and intervals that do not rise within their bounds are errors."""
 
     def __hash__(self) -> int:
         return hash(repr(self))  # a group may hold mappings
@@ -65,9 +68,20 @@ class Group(BaseModel, metaclass=_Checked):
         extra = field.json_schema_extra
         return in_si(value, str(extra["unit"])) if isinstance(extra, dict) and "unit" in extra else value
 
+    @whole_group
+    def _intervals_rise(self) -> Self:
+        for name, info in type(self).model_fields.items():
+            extra = info.json_schema_extra
+            if isinstance(extra, dict) and "low" in extra:
+                low, high = getattr(self, name)
+                if not extra["low"] <= low <= high <= extra["high"]:
+                    unit = "" if extra["unit"] == "1" else f" {extra['unit']}"
+                    allowed = f"{extra['low']:g} to {extra['high']:g}{unit}"
+                    raise ValueError(f"{name} = [{low:g}, {high:g}]: must rise within {allowed}")
+        return self
+
 
 ModelType = TypeVar("ModelType", bound=BaseModel)
-whole_group = model_validator(mode="after")  # marks a check of a group whose fields are valid
 
 
 def validate(model: type[ModelType], values: Any, source: object, within: str = "") -> ModelType:

@@ -146,3 +146,11 @@ Whole = Annotated[int, BeforeValidator(_no_truth_value)]  # an integer that is n
 def quantity(default: float, unit: str, origin: str, low: float, high: float) -> Any:
     """A numeric field with its unit, its origin and its allowed range, beyond which a value must be a mistake."""
     return Field(default, description=origin, json_schema_extra={"unit": unit}, ge=low, le=high)
+
+
+Range = tuple[Number, Number]
+
+
+def interval(default: tuple[float, float], unit: str, description: str, low: float, high: float) -> Any:
+    """A pair of rising numbers with its unit and its allowed range, beyond which a value must be a mistake."""
+    return Field(default, description=description, json_schema_extra={"unit": unit, "low": low, "high": high})

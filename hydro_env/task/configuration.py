@@ -17,14 +17,13 @@ from hydro_env.mistakes import known_name
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters
 from hydro_env.plant.parts.leakage import LeakLaw
 from hydro_env.task.faults import Faults
-from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.task.law import RigLaw
 from hydro_env.task.randomisation import Distribution, Randomisation, check_draws, default_randomisation
 from hydro_env.task.record import MOST_LATE, OPTION_NAMES
 from hydro_env.task.reference_signals import MOVING_FAMILIES, REFERENCE_FAMILIES
 from hydro_env.task.rig import task_from
 from hydro_env.task.sensors import Sensors
-from hydro_env.units import Number, quantity
+from hydro_env.units import Number, Range, interval, quantity
 
 LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
 """Names of the class labels 0 to 3."""
@@ -34,7 +33,7 @@ Family = Annotated[str, known_name(REFERENCE_FAMILIES, "family")]
 LEAKAGE_LIMIT = 20.0  # l/min at 100 bar; a larger leak would mean that the seal is missing
 
 
-class LeakageDraw(TaskGroup):
+class LeakageDraw(Group):
     """Internal leakage of an episode, in l/min at 100 bar across the piston."""
 
     healthy_share: Number = Field(0.25, ge=0.0, le=1.0, description="share of episodes with a healthy seal")
@@ -62,7 +61,7 @@ class LeakageDraw(TaskGroup):
         return self
 
 
-class References(TaskGroup):
+class References(Group):
     """The references, within the force and the speed of each plant."""
 
     weights: dict[Family, Annotated[Number, Field(ge=0.0, le=1e6)]] = Field(
@@ -121,7 +120,7 @@ class Failure(Group):
     pressure_rating: Number = quantity(250e5, "Pa", "paper, Table 1; of valve and cylinder", 1e5, 2e8)
 
 
-class Disturbance(TaskGroup):
+class Disturbance(Group):
     """External force in addition to the plant's own: a constant and a changing part; none by default."""
 
     kind: Literal["none", "step", "pulse", "sine", "mixed"] = Field(
@@ -148,7 +147,7 @@ class Disturbance(TaskGroup):
     frequency_range: Range = interval((0.5, 5.0), "Hz", "of a sine", 0.0, 1e3)
 
 
-class TaskConfig(TaskGroup):
+class TaskConfig(Group):
     """The whole task; every field is a keyword of ``gym.make("ServoHydraulic-v0", ...)`` and a key of a YAML file.
 
     Example:

@@ -12,12 +12,11 @@ from pydantic import Field
 
 from hydro_env.files import Group
 from hydro_env.mistakes import known_name
-from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.task.sensors import CHANNELS, SENSORS
-from hydro_env.units import Number
+from hydro_env.units import Number, Range, interval
 
 
-class Fault(TaskGroup):
+class Fault(Group):
     """One kind of fault: probability and time; its subclasses define the magnitude."""
 
     probability: Number = Field(0.0, ge=0.0, le=1.0, description="share of episodes with this fault")

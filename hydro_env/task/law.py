@@ -5,9 +5,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from hydro_env.files import whole_group
-from hydro_env.task.groups import Range, TaskGroup, interval
-from hydro_env.units import Number, Whole, quantity
+from hydro_env.files import Group, whole_group
+from hydro_env.units import Number, Range, Whole, interval, quantity
 
 FIRST_SEEDS = {"training": 1_000_000_000, "validation": 2_000_000_000, "test": 3_000_000_000}  # first rig of each split
 
@@ -30,7 +29,7 @@ def _share(default: float, description: str) -> Any:
     return quantity(default, "1", f"share of the rigs with {description}", 0.0, 1.0)
 
 
-class StructureLaw(TaskGroup):
+class StructureLaw(Group):
     """Which rigs of a law have parts that a nameplate does not tell: bending loads, waves in lines, sharp edges."""
 
     tip_share: Number = _share(0.0, "a load that bends: a second mass behind a spring")
@@ -48,7 +47,7 @@ class StructureLaw(TaskGroup):
         return max(self.tip_share, self.wave_share, self.sharp_share) > 0.0
 
 
-class RigLaw(TaskGroup):
+class RigLaw(Group):
     """From which rigs each episode of a task takes its own; intervals are log-uniform."""
 
     count: int = Field(64, ge=1, le=MOST_RIGS, description="rigs, drawn once; each episode takes one of them")

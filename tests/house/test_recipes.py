@@ -239,8 +239,7 @@ def try_agents():
 
 def try_detector():
     from hydro_agents.detection.detector import Windows
-    from hydro_agents.detection.detectors import make_detector
-    from hydro_agents.evaluation.leak_protocol import LeakProtocol, simulated_windows
+    from hydro_agents.evaluation.leak_protocol import LeakProtocol, make_detector, simulated_windows
 
     # In the protocol, a leak scores higher on the same plants, and a window with motion has no answer.
     protocol = LeakProtocol.from_yaml("configs/protocols/leakage.yaml")
@@ -258,8 +257,7 @@ def try_detector():
 
 
 def try_evaluation():
-    from hydro_agents.evaluation.participants import participants
-    from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+    from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, participants
     from hydro_agents.evaluation.runner import run as run_protocol
     from hydro_agents.report.controllers_page import controllers_page, overview
     from hydro_agents.running.text import number

@@ -118,8 +118,7 @@ def _evaluate_detectors(head: Path | None, options: "Options") -> None:
     """Run a leakage protocol; the head of ``--head`` replaces that of the protocol."""
     from hydro_agents.commands.pages import LEAKAGE_PAGE
     from hydro_agents.commands.protocols import run_protocol
-    from hydro_agents.detection.detectors import make_detector
-    from hydro_agents.evaluation.leak_protocol import LeakProtocol
+    from hydro_agents.evaluation.leak_protocol import LeakProtocol, make_detector
 
     protocol, own = options.read(LeakProtocol), {} if head is None else {"weights": str(head)}
     detectors = {}
@@ -154,8 +153,7 @@ def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: i
     from hydro_agents.commands.pages import ROBUSTNESS_PAGE, study_page
     from hydro_agents.commands.protocols import run_protocol
     from hydro_agents.evaluation.evaluate import ProtocolSettings
-    from hydro_agents.evaluation.participants import participants
-    from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+    from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, participants
     from hydro_agents.evaluation.study import StudySettings, default_study
 
     if options.file is not None:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_agents.evaluation.participants import split_name
+from hydro_agents.evaluation.robustness_protocol import split_name
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results
 from hydro_agents.report.controllers_page import Example, controllers_page
 from hydro_agents.report.kit import Page, as_text

@@ -8,13 +8,13 @@ from typing import Any
 from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.participants import participants
 from hydro_agents.evaluation.robustness_protocol import (
     Levels,
     PairedCases,
     PairedCondition,
     PlantSeeds,
     RobustnessProtocol,
+    participants,
 )
 from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.running.jobs import Report

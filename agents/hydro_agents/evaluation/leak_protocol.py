@@ -4,19 +4,18 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from hydro_agents.controllers.by_name import imported
 from hydro_agents.detection.detector import Detector, Windows, cut, measured_run
-from hydro_agents.detection.detectors import DetectorChoice
 from hydro_agents.detection.operations import ACTING, MOTIONS, UNSEEN
 from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
 from hydro_agents.running.tasks import Surroundings, between
-from hydro_env import TaskConfig
-from hydro_env.files import whole_group
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group, whole_group
 from hydro_env.mistakes import known_name, refuse_unknown
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
@@ -24,9 +23,45 @@ from hydro_env.types import ByName, Floats
 from hydro_env.units import Number
 
 HEALTHY = 0.0  # level of leaks that are drawn from the healthy range of the task
-LEAK_BOUND = "hydro_rig.estimation.known_windows:leak_bound"  # of the package above this one: it comes by name
+# Of the package above this one: they come by name.
+ESTIMATOR = "hydro_rig.estimation.estimator:EstimatorDetector"
+LEAK_BOUND = "hydro_rig.estimation.known_windows:leak_bound"
 
 Level = Annotated[Number, between(HEALTHY, LEAKAGE_LIMIT, " l/min")]
+
+
+class DetectorChoice(Group):
+    """A detector, and how many windows it reads in a protocol."""
+
+    kind: str = Field(description="head, estimator, or module:attribute for your own")
+    weights: str | None = Field(None, description="of a head: a path; default: the shipped one")
+    windows: int = Field(1000, ge=1, le=100_000, description="windows per leak level")
+    validation_windows: int = Field(4000, ge=20, le=100_000, description="healthy ones, for 1 % false alarms")
+    batch: int = Field(500, ge=1, le=10_000, description="windows per job; fixed: no result depends on the machine")
+
+    @field_validator("kind")
+    @classmethod
+    def _known(cls, kind: str) -> str:
+        if kind not in ("head", "estimator") and ":" not in kind:
+            raise ValueError("must be head, estimator, or module:attribute")
+        return kind
+
+
+def make_detector(choice: DetectorChoice) -> Detector:
+    """The detector of a choice.
+
+    Raises:
+        ConfigurationError: its weights cannot be read, or the object that it names is no detector.
+    """
+    if choice.kind == "head":
+        from hydro_agents.detection.monitor import HeadDetector  # a detector of your own needs no network
+
+        return HeadDetector.load(choice.weights)
+    named = imported(ESTIMATOR if choice.kind == "estimator" else choice.kind)
+    detector = named() if isinstance(named, type) else named
+    if missing := [part for part in ("threshold", "refuses", "read") if not hasattr(detector, part)]:
+        raise ConfigurationError(f"'{choice.kind}': is no leak detector, it has no {', '.join(missing)}")
+    return detector
 
 
 class LeakCondition(Condition):

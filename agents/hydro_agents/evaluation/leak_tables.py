@@ -88,7 +88,7 @@ def detection(results: Results) -> Rows:
             **cell,
             **flagged.named("flagged"),
             **share(frame["at_1_percent"]).named("at_1_percent"),
-            "cannot_tell": float((frame["verdict"] == Cause.UNKNOWN).mean()),
+            "cannot_tell": (frame["verdict"] == Cause.UNKNOWN).mean(),
             "per_hour": flagged.value * windows_per_hour,
             "windows": len(frame),
         }
@@ -118,9 +118,9 @@ def _errors_of_size(frame: pd.DataFrame, level: float) -> dict[str, Any]:
     row = {"windows": len(frame), "told": len(told), "rms_log10": np.nan, "median_error_lpm": np.nan}
     if len(told):
         decades = np.log10(np.maximum(estimate, SMALLEST_SIZE) / truth)
-        row["median_error_lpm"] = float(np.median(np.abs(estimate - truth)))
+        row["median_error_lpm"] = np.median(np.abs(estimate - truth))
         if level != HEALTHY:
-            row["rms_log10"] = float(np.sqrt(np.mean(decades**2)))
+            row["rms_log10"] = np.sqrt(np.mean(decades**2))
     has = ~np.isnan(low)
     row |= share(((low <= truth) & (truth <= high))[has]).named("coverage")
     return row

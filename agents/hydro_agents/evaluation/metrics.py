@@ -162,10 +162,7 @@ def settling_time(error: Array, period: float) -> float:
 
 def overshoot(position: Array, start: float, target: float) -> float:
     """Largest excess beyond the target in % of the step from ``start`` to ``target``; 0 without excess."""
-    size = target - start
-    if size == 0.0:
-        return math.nan
-    return float(max(np.max((position - target) / size), 0.0) * 100.0)
+    return float(max(np.max((position - target) / (target - start)), 0.0) * 100.0)
 
 
 def reversals(command: Array) -> int:
@@ -193,11 +190,9 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
     position, reference, command, spool, power, reward = (
         getattr(rollout, name)[case] for name in ("position", "reference", "command", "spool", "supply_power", "reward")
     )
-    failed, bias = rollout.failed_at[case] >= 0, float(rollout.position_bias[case])
+    bias = rollout.position_bias[case]
     error = np.asarray(reference, dtype=float) - position
-    settling = []
-    offsets = []
-    beyond = []
+    settling, offsets, beyond = [], [], []
     final = max(round(FINAL_SHARE / period), 1)
     ahead = round(preview / period)
     for first, end in standstills(reference, period):
@@ -205,7 +200,7 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
         if last - first < final:
             continue
         settling.append(settling_time(error[first:last], period))
-        offsets.append(float(np.mean(error[last - final : last])))
+        offsets.append(error[last - final : last].mean())
         if is_step:
             beyond.append(overshoot(position[first:last], float(reference[first - 1]), float(reference[first])))
     settled = [value for value in settling if not math.isnan(value)]
@@ -214,20 +209,20 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
         return float(np.mean(values)) if values else math.nan
 
     return {
-        "mean_error_mm": 1e3 * float(np.mean(np.abs(error))),
-        "peak_error_mm": 1e3 * float(np.max(np.abs(error))),
+        "mean_error_mm": 1e3 * np.abs(error).mean(),
+        "peak_error_mm": 1e3 * np.abs(error).max(),
         "settling_time_s": mean(settled),
         "unsettled_share": 1.0 - len(settled) / len(settling) if settling else math.nan,
         "overshoot_percent": mean(beyond),
         "steady_state_error_mm": 1e3 * mean([abs(offset) for offset in offsets]),
-        "mean_error_sensor_mm": 1e3 * float(np.mean(np.abs(error - bias))),
-        "peak_error_sensor_mm": 1e3 * float(np.max(np.abs(error - bias))),
+        "mean_error_sensor_mm": 1e3 * np.abs(error - bias).mean(),
+        "peak_error_sensor_mm": 1e3 * np.abs(error - bias).max(),
         "steady_state_error_sensor_mm": 1e3 * mean([abs(offset - bias) for offset in offsets]),
         "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),
         "reversals_per_s": reversals(command) / (period * len(command)),
-        "supply_energy_j": float(np.sum(power, dtype=float)) * period,
-        RETURN: float(np.sum(reward, dtype=float)),
-        "failed": float(failed),
+        "supply_energy_j": power.sum(dtype=float) * period,
+        RETURN: reward.sum(dtype=float),
+        "failed": float(rollout.failed_at[case] >= 0),
     }
 
 

@@ -1,6 +1,7 @@
 """Robustness protocols: controllers on paired cases under conditions, each a set of changes of task, leak and plant."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -9,16 +10,18 @@ import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, Field
 
-from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.controllers.registry import controller_with_gains
 from hydro_agents.evaluation.conditions import Cell, Condition, Protocol
 from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.participants import Participants, split_name
+from hydro_agents.learning.loading import load_controller
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.limit_cycles import standstill_metrics, standstill_task
-from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
+from hydro_agents.running.seeds import LEDGER, SEED_MARK, SEEDS_PER_FAMILY, SeedRange
 from hydro_agents.running.tasks import between, mappings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
+from hydro_env.errors import at
 from hydro_env.files import Group, read_yaml, whole_group
 from hydro_env.mistakes import kept, known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
@@ -96,7 +99,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
             raise ValueError("conditions: 'all' is the name of their mean")
         return self
 
-    def cells(self, chosen: Participants) -> Iterator[Cell]:
+    def cells(self, chosen: "Participants") -> Iterator[Cell]:
         """Every controller on the cases of every condition, and after a small step of the reference and back."""
         for name in self.conditions:
             yield from self._cells("cases", tracked, chosen, name, self.tasks[name], self.cases_in(name))
@@ -108,7 +111,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
         self,
         table: str,
         work: Callable[..., Columns],
-        chosen: Participants,
+        chosen: "Participants",
         condition: str,
         task: TaskConfig,
         listed: pd.DataFrame,
@@ -183,3 +186,73 @@ def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns
 def at_rest(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
     """Limit cycles of cases whose task is a standstill."""
     return standstill_metrics(run_cases(config, controller, cases), config)
+
+
+@dataclass(frozen=True)
+class Participants:
+    """Controllers by name, the baseline first."""
+
+    controllers: Mapping[str, Controller]
+    corrects: Mapping[str, str] = field(default_factory=dict)  # names of policies and of what they correct
+
+    def of(self, name: str, condition: str, protocol: RobustnessProtocol) -> Controller | str:
+        """The controller that runs under a condition, or the reason why none can.
+
+        The protocol may name one for this condition; else the general one runs if it knows such observations.
+
+        Raises:
+            ConfigurationError: the controller for this condition cannot be made.
+        """
+        entry, task = protocol.conditions[condition], protocol.tasks[condition]
+        if name in entry.controllers:
+            with at(f"conditions.{condition}.controllers.{name}"):
+                what = entry.controllers[name]
+                return load_controller(what if isinstance(what, str) else controller_with_gains(what, task), task, name)
+        if entry.rig is not None:
+            return "no controller of this name is tuned for this rig"
+        here, known = ObservationLayout.of(task), ObservationLayout.of(protocol.task)
+        if here.control_period != known.control_period:
+            return f"no controller of this name is tuned for a control period of {1e3 * here.control_period:g} ms"
+        if here != known:
+            return "the observations differ from those that it knows"
+        return self.controllers[name]
+
+
+def participants(
+    controllers: Mapping[str, Controller | str | Path],
+    protocol: RobustnessProtocol,
+    corrects: Mapping[str, str] | None = None,
+) -> Participants:
+    """Make the controllers of a protocol.
+
+    Args:
+        controllers: by name, objects with ``predict`` or texts of
+            :func:`~hydro_agents.learning.loading.load_controller`. The first one is the baseline. ``NAME#0``,
+            ``NAME#1``, … are training seeds of one controller.
+        protocol: the protocol.
+        corrects: names of policies and of what they correct.
+
+    Raises:
+        ConfigurationError: there is no controller, a name is wrong, or a controller cannot be made for its task.
+    """
+    if not controllers:
+        raise ConfigurationError("protocol: needs at least one controller")
+    known: dict[tuple[str, int], str] = {}
+    for name in controllers:
+        same = known.setdefault(split_name(name), name)
+        if same != name:
+            raise ConfigurationError(f"controllers '{same}' and '{name}': name the same training seed of a controller")
+    ready = {name: load_controller(what, protocol.task, name) for name, what in controllers.items()}
+    return Participants(ready, corrects or {})
+
+
+def split_name(name: str) -> tuple[str, int]:
+    """Controller and training seed of a name: ``PPO#3`` is seed 3 of PPO; a name without a mark is seed 0.
+
+    Raises:
+        ConfigurationError: the part after the mark is not a number.
+    """
+    controller, mark, seed = name.partition(SEED_MARK)
+    if not controller or (mark and not seed.isdecimal()):
+        raise ConfigurationError(f"controller '{name}': must be NAME, or NAME#0, NAME#1, … for training seeds")
+    return controller, int(seed) if mark else 0

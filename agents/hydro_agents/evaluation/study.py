@@ -16,7 +16,7 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
-from hydro_agents.evaluation.participants import split_name
+from hydro_agents.evaluation.robustness_protocol import split_name
 from hydro_agents.learning.loading import SHIPPED_WEIGHTS, load_controller, shipped, ships, usual_gains
 from hydro_agents.learning.rig_gains import searched_gains
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer

@@ -14,7 +14,7 @@ import numpy as np
 
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, gains_text
-from hydro_agents.evaluation.participants import participants
+from hydro_agents.evaluation.robustness_protocol import participants
 from hydro_agents.evaluation.runner import Facts, Results, run
 from hydro_agents.evaluation.study import StudySettings
 from hydro_agents.learning.loading import load_controller

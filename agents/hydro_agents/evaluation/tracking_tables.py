@@ -102,13 +102,13 @@ def ranking(results: Results) -> pd.DataFrame:
             {
                 "controller": controller,
                 **{name: figures.get(controller, {}).get(source, np.nan) for name, source in copied.items()},
-                "conditions": int(own["condition"].nunique()),
-                RETURN: float(own[RETURN].mean()),
+                "conditions": own["condition"].nunique(),
+                RETURN: own[RETURN].mean(),
                 "failures": int(own["failed"].sum()),
-                "failed_conditions": int((mine["status"] == FAILED).sum()),
+                "failed_conditions": (mine["status"] == FAILED).sum(),
                 "limit_cycles": int(still["limit_cycle"].sum()),
                 "standstills": len(still),
-                "training_seeds": int(own["training_seed"].nunique()),
+                "training_seeds": own["training_seed"].nunique(),
             }
         )
     ranked = pd.DataFrame(rows).sort_values("equal_weight", kind="stable", ignore_index=True)

@@ -6,7 +6,7 @@ from command_line import ROOT
 from small_protocol import Proportional, small
 
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.participants import Participants, participants
+from hydro_agents.evaluation.robustness_protocol import Participants, participants
 from hydro_agents.evaluation.runner import DONE, FAILED, NOT_APPLICABLE, run
 from hydro_agents.running.jobs import JOBS_FOLDER
 

@@ -9,7 +9,7 @@ from published import assert_published
 from small_protocol import Proportional, small
 
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.participants import Participants
+from hydro_agents.evaluation.robustness_protocol import Participants
 from hydro_agents.evaluation.runner import Results, run
 
 FAMILIES, LEAKS, PLANTS = ("step", "sine"), (0.03, 4.0), 6

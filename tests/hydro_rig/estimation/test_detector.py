@@ -5,9 +5,9 @@ import pytest
 from faulty_windows import FAULTS, made
 
 from hydro_agents.detection.detector import SIGNALS, Cause, Reading, Why, Windows, measured_run
-from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.detection.operations import at_rest
+from hydro_agents.evaluation.leak_protocol import DetectorChoice, make_detector
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS

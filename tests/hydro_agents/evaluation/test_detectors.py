@@ -9,9 +9,9 @@ from faulty_windows import made
 from refusal import refused
 
 from hydro_agents.detection.detector import Cause, Why, logit, threshold_at_false_alarm_rate
-from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
+from hydro_agents.evaluation.leak_protocol import DetectorChoice, make_detector
 from hydro_env import TaskConfig
 from hydro_env.files import validate
 from hydro_env.task.configuration import task_config
