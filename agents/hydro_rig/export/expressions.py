@@ -35,7 +35,7 @@ class Type(NamedTuple):
         return f"{'const ' * self.constant}{self.element} {'*' if self.shape else ''}{name}"
 
 
-DOUBLE, FLOAT, BOOL, INT = (Type(name) for name in ("double", "float", "int", "long"))
+DOUBLE, FLOAT, BOOL, INT, UINT64 = (Type(name) for name in ("double", "float", "int", "long", "uint64_t"))
 
 
 def array(*shape: int, constant: bool = False) -> Type:
@@ -46,10 +46,11 @@ def array(*shape: int, constant: bool = False) -> Type:
 Typed = tuple[str, Type]
 _COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+_INTEGER_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.BitXor: "^", ast.RShift: ">>"}
 _NUMBERS = (BOOL, INT, FLOAT, DOUBLE)  # types that C converts as Python does, the widest last
 _MATH = (math.asinh, math.cos, math.exp, math.floor, math.hypot, math.log, math.log10, math.sin, math.sqrt, math.tanh)
 _FUNCTIONS = {function: function.__name__ for function in _MATH} | {abs: "fabs"}
-_CASTS = {np.float64: DOUBLE, float: DOUBLE, np.float32: FLOAT, np.int64: INT, int: INT}
+_CASTS = {np.float64: DOUBLE, float: DOUBLE, np.float32: FLOAT, np.int64: INT, int: INT, np.uint64: UINT64}
 
 
 class TranslationError(HydroError):
@@ -84,7 +85,7 @@ class Expressions:
                 return _literal(number)
             case ast.Name() | ast.Attribute():
                 known = self._known(node)
-                return _literal(known) if isinstance(known, bool | int | float) else self._variable(node)
+                return _literal(known) if isinstance(known, bool | int | float | np.uint64) else self._variable(node)
             case ast.Subscript():
                 return self.subscript(node)
             case ast.UnaryOp(op=ast.Not()):
@@ -175,6 +176,8 @@ class Expressions:
                 return f"({left} % {right})", INT
             case ast.Div() if both == {INT}:
                 return f"((double){left} / {right})", DOUBLE
+        if both == {UINT64} and operation in _INTEGER_OPERATORS:
+            return f"({left} {_INTEGER_OPERATORS[operation]} {right})", UINT64
         if operation in _OPERATORS and both <= {INT, FLOAT, DOUBLE}:
             return f"({left} {_OPERATORS[operation]} {right})", max(kind, other, key=_NUMBERS.index)
         return None
@@ -240,7 +243,9 @@ def _compound(struct: Type, values: list[str]) -> Typed:
     return f"({struct.element}){{{', '.join(values)}}}", struct
 
 
-def _literal(value: float) -> Typed:
+def _literal(value: float | np.uint64) -> Typed:
+    if isinstance(value, np.uint64):
+        return f"UINT64_C({int(value)})", UINT64
     text = c_number(value)
     kind = BOOL if isinstance(value, bool) else INT if isinstance(value, int) else DOUBLE
     return f"({text})" if text.startswith("-") else text, kind

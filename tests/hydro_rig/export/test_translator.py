@@ -3,7 +3,7 @@
 import pytest
 
 from hydro_env.compiling import inline
-from hydro_rig.export.expressions import DOUBLE, TranslationError, array
+from hydro_rig.export.expressions import DOUBLE, UINT64, TranslationError, array
 from hydro_rig.export.translator import Translator
 
 
@@ -46,6 +46,7 @@ def part(row):
         (unchanged_sign, [DOUBLE]),
         (negative_step, [array(4)]),
         (by_number, [array(4), DOUBLE]),
+        (by_number, [array(4), UINT64]),
         (part, [array(4)]),
     ],
 )
