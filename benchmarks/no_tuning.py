@@ -71,7 +71,7 @@ def tuned_for(task: TaskConfig, folder: Path, evaluations: int, cases: int = 42)
     """Gains tuned for one rig, from those for any rig; a file keeps them."""
     file = folder / "gains.yaml"
     if not file.exists():
-        best = tune(KIND, task, Search(evaluations=evaluations, cases=cases), folder)
+        best = tune(KIND, [task], Search(evaluations=evaluations, cases=cases), folder)
         write_yaml(file, best.gains.model_dump(mode="json"))
     return FlowLinearisingGains(**read_yaml(file))
 

@@ -1,8 +1,6 @@
 """LabelledWindows of the leakage head's training: simulated axes in many kinds of operation, with faults."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +12,6 @@ from hydro_agents.detection.features import LABELS, features_of
 from hydro_agents.detection.operations import ACTING, OPERATIONS
 from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
 from hydro_agents.detection.training_settings import LARGEST_LEAK, LEAST_LEAK, HeadTrainingSettings
-from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_env import TaskConfig
@@ -22,7 +19,7 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, SIGNED_KINDS, fault_limits, faults_of
 from hydro_env.task.sensors import SENSORS
-from hydro_env.types import Array, Floats, Indices, Singles
+from hydro_env.types import Array, Floats, Indices, Mask, Singles
 
 EXTERNAL_LEAK = "external_leak"
 UNSEEN = ("position_offset",)  # faults that are invisible in the measured signals; they get no label
@@ -33,24 +30,21 @@ LABEL_OF_FAULT = {
 
 TRAINED_FAULTS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")  # a stuck one needs no network
 
-LEAK_COURSES = ("constant", "onset", "growth", "orifice")
-"""Leaks of the training: constant laminar gap, beginning or growing within the window, constant orifice."""
-
 CHANGING = ("onset", "growth")
 
 CHUNK, CHUNK_OF_RIG = 256, 24  # largest number of axes that are simulated together; the same for each drawn rig
 CHUNK_OF_POLICY = 96  # the same under a policy for any axis: it takes a quarter of a minute to choose its gains
 
-KINDS_FOR_ANY_AXIS = ("flow_linearising", "ppo")  # kinds of controllers that serve drawn rigs
-POLICY = KINDS_FOR_ANY_AXIS.index("ppo")
+POLICY = "PPO on flow linearisation"
+FOR_ANY_AXIS = ("flow-linearising", POLICY)  # of ACTING, on drawn rigs
 
 WINDOWS = 3  # from each run
 
 SHARES = (
-    ("constant", 0.49, False),
-    ("onset", 0.15, False),
+    ("constant", 0.49, False),  # laminar gap
+    ("onset", 0.15, False),  # begins within the window
     ("growth", 0.15, False),
-    ("orifice", 0.06, False),
+    ("orifice", 0.06, False),  # constant
     ("constant", 0.15, True),
 )
 """Kinds of runs: the leak, their share, and whether a disturbance comes beside it."""
@@ -69,9 +63,8 @@ class LabelledWindows(NamedTuple):
     features: Singles  # (N, F); with a law those of the rig at the end
     labels: Singles  # (N, labels), 0 or 1
     size: Floats  # (N,), internal leak, in the rig's unit of leaks
-    fault: Indices  # (N,), index into FAULTS of the first fault, −1 for none
-    leak: Indices  # (N,), index into LEAK_COURSES
-    noise: Floats  # (N,), of the sensors, as a factor on the task's
+    usual: Mask  # (N,), with the task's own sensor noise, and not with a leak through an orifice
+    plain: Mask  # (N,), with a constant leak and no other fault
     disturbance: Floats  # (N,), its range in the window over the noticeable one; 0: none
 
     def part(self, chosen: Array) -> "LabelledWindows":
@@ -88,71 +81,61 @@ class Chunk(NamedTuple):
     """Runs that are simulated together."""
 
     row: int  # of OPERATIONS
-    controller: int  # index of the controller, −1: none
-    leak: str  # one of LEAK_COURSES
+    acting: str  # of ACTING; empty: a controller of the study
+    leak: str  # one of SHARES
     axes: int
     disturbed: bool = False
 
 
-@dataclass(frozen=True)
-class TrainingPlan:
-    """Sources of the windows.
+def rigs_of(config: TaskConfig, settings: HeadTrainingSettings, split: str) -> tuple[TaskConfig, ...]:
+    """The task on each rig of a split of the law; without a law the task."""
+    if settings.law is None:
+        return (config,)
+    return rig_tasks(task_config(config, law=settings.law.model_dump() | {"split": split, "preview_paces": ()}))
+
+
+def training_jobs(
+    config: TaskConfig,
+    controllers: Sequence[Controller],
+    settings: HeadTrainingSettings,
+    split: str,
+    episodes: int,
+    first_seed: int,
+) -> dict[str, Job]:
+    """A job for each chunk of about so many runs, by its number; results: :class:`LabelledWindows`.
 
     With a law, each chunk has the next of its rigs, and controllers for any axis instead of those given. The leaks are
     in the rig's unit (:func:`~hydro_agents.detection.sheet.leak_scale`).
     """
+    rigs, jobs, seed = rigs_of(config, settings, split), {}, first_seed
+    for number, (controller, chunk) in enumerate(_chunks(controllers, settings, episodes)):
+        seeds = np.arange(seed, seed + chunk.axes)
+        seed += chunk.axes
+        arguments = (settings, chunk, seeds, rigs[number % len(rigs)])
+        jobs[str(number)] = Job(simulated, controller, arguments, fingerprint(controller))
+    return jobs
 
-    config: TaskConfig
-    controllers: Sequence[Controller]
-    settings: HeadTrainingSettings
-    split: str = "training"  # of the law's rigs
 
-    @cached_property
-    def rigs(self) -> tuple[TaskConfig, ...]:
-        """The task on each rig."""
-        law = self.settings.law
-        if law is None:
-            return (self.config,)
-        return rig_tasks(task_config(self.config, law=law.model_dump() | {"split": self.split, "preview_paces": ()}))
-
-    def chunks(self, episodes: int) -> list[Chunk]:
-        """Groups of runs that are simulated together."""
-        total = sum(row.share for row in OPERATIONS)
-        controllers = len(self.controllers) if self.settings.law is None else len(KINDS_FOR_ANY_AXIS)
-        chunks = []
-        for number, row in enumerate(OPERATIONS):
-            acting = [-1] if row.manner else range(controllers)
-            for controller in acting:
-                for leak, share, moves in SHARES:
-                    count = round(episodes * share * row.share / total / len(acting))
-                    pieces = -(-count // self._largest(controller, leak))
-                    for piece in range(pieces):
-                        size = count * (piece + 1) // pieces - count * piece // pieces
-                        chunks.append(Chunk(number, controller, leak, size, moves))
-        return chunks
-
-    def _largest(self, controller: int, leak: str) -> int:
-        if self.settings.law is None:
+def _chunks(
+    controllers: Sequence[Controller], settings: HeadTrainingSettings, episodes: int
+) -> Iterator[tuple[Controller | None, Chunk]]:
+    """Groups of runs that are simulated together, each with its controller, if that is one of the study."""
+    total = sum(row.share for row in OPERATIONS)
+    usual: Sequence[Controller | str] = controllers if settings.law is None else FOR_ANY_AXIS
+    for place, row in enumerate(OPERATIONS):
+        all_acting = [row.manner] if row.manner else usual
+        for acting in all_acting:
+            name, controller = (acting, None) if isinstance(acting, str) else ("", acting)
             largest = CHUNK
-        elif controller == POLICY:
-            largest = CHUNK_OF_POLICY
-        else:
-            largest = CHUNK_OF_RIG
-        return min(largest, CHUNK // 4) if leak in CHANGING else largest  # more lengths of windows
-
-    def jobs(self, episodes: int, first_seed: int) -> dict[str, Job]:
-        """A job for each chunk of about so many runs, by its number; results: :class:`LabelledWindows`."""
-        digests = [fingerprint(controller) for controller in self.controllers]
-        jobs, seed = {}, first_seed
-        for number, chunk in enumerate(self.chunks(episodes)):
-            seeds = np.arange(seed, seed + chunk.axes)
-            seed += chunk.axes
-            acting, digest = None, "none"
-            if self.settings.law is None and chunk.controller >= 0:
-                acting, digest = self.controllers[chunk.controller], digests[chunk.controller]
-            arguments = (self.settings, chunk, seeds, self.rigs[number % len(self.rigs)])
-            jobs[str(number)] = Job(simulated, acting, arguments, digest)
-        return jobs
+            if settings.law is not None:
+                largest = CHUNK_OF_POLICY if name == POLICY else CHUNK_OF_RIG
+            for leak, share, moves in SHARES:
+                count = round(episodes * share * row.share / total / len(all_acting))
+                most = min(largest, CHUNK // 4) if leak in CHANGING else largest  # more lengths of windows
+                pieces = -(-count // most)
+                for piece in range(pieces):
+                    axes = count * (piece + 1) // pieces - count * piece // pieces
+                    yield controller, Chunk(place, name, leak, axes, moves)
 
 
 def simulated(
@@ -166,12 +149,13 @@ def simulated(
     noise = noise if generator.random() < NOISY else 1.0
     task = _task_of(chunk, config, sizes[0], steps, noise)
     leaks = _leaks(generator, config, count)
-    fault_share = 0.0 if chunk.disturbed else settings.fault_share
-    faults, fault, labels = draw_faults(config, generator, count, fault_share)
+    faults, labels = draw_faults(config, generator, count, 0.0 if chunk.disturbed else settings.fault_share)
+    plain = ~np.any([*faults.values()], axis=0) & (chunk.leak == "constant")
+    usual = np.full(count, noise == 1.0 and chunk.leak != "orifice")
     scale, sheet = leak_scale(config), sheet_of(config, settings.law is not None)
     faults[EXTERNAL_LEAK] = np.minimum(scale * faults[EXTERNAL_LEAK], fault_limits(EXTERNAL_LEAK)[1])
     labels[:, 0] = leaks > config.leakage.class_bounds[0]
-    acting = _acting(controller, settings, chunk, task, int(seeds[0]))
+    acting: Any = ACTING[chunk.acting](task, count, int(seeds[0])) if chunk.acting else controller
     moves = None
     if chunk.disturbed:
         kinds = generator.choice(list(DISTURBANCES), count)
@@ -190,20 +174,9 @@ def simulated(
         begins[generator.random(len(kept)) < AT_START] = 0
         if changing:  # the run ends with its only window
             begins[:] = steps - size
-        felt = np.zeros(len(kept))
-        if moves is not None:
-            felt = moves._replace(course=moves.course[kept]).felt(begins, size)
-        parts.append(
-            LabelledWindows(
-                features=features_of(cut(signals[kept], begins, size), sheet),
-                labels=labels[kept],
-                size=leaks[kept],
-                fault=fault[kept],
-                leak=np.full(len(kept), LEAK_COURSES.index(chunk.leak)),
-                noise=np.full(len(kept), noise),
-                disturbance=felt,
-            )
-        )
+        features = features_of(cut(signals[kept], begins, size), sheet)
+        felt = np.zeros(len(kept)) if moves is None else moves.felt(kept, begins, size)
+        parts.append(LabelledWindows(features, labels[kept], leaks[kept], usual[kept], plain[kept], felt))
     found = LabelledWindows.joined(parts)
     if settings.law is not None:
         rig = np.tile(rig_features(config), (len(found.features), 1))
@@ -244,18 +217,6 @@ def _task_of(chunk: Chunk, config: TaskConfig, size: int, steps: int, noise: flo
     return OPERATIONS[chunk.row].task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
 
 
-def _acting(
-    controller: Controller | None, settings: HeadTrainingSettings, chunk: Chunk, task: TaskConfig, seed: int
-) -> Any:
-    """Who acts on the axes of a chunk."""
-    manner = OPERATIONS[chunk.row].manner
-    if manner:
-        return ACTING[manner](task, chunk.axes, seed)
-    if settings.law is not None:
-        return shipped(KINDS_FOR_ANY_AXIS[chunk.controller], task)
-    return controller
-
-
 def _leaks(generator: np.random.Generator, config: TaskConfig, count: int) -> Floats:
     """Leaks in the rig's unit: healthy, or above the healthy bound; log-uniform."""
     bound, largest = config.leakage.class_bounds[0], LEAKAGE_LIMIT / leak_scale(config)
@@ -268,14 +229,14 @@ def _leaks(generator: np.random.Generator, config: TaskConfig, count: int) -> Fl
 
 def draw_faults(
     config: TaskConfig, generator: np.random.Generator, count: int, share: float
-) -> tuple[dict[str, Floats], Indices, Singles]:
-    """Faults of axes by name, the index of the first one of each axis (−1: none), and the labels of all."""
+) -> tuple[dict[str, Floats], Singles]:
+    """Sizes of the faults of axes by name, and the labels of the axes."""
     sizes = {name: np.zeros(count) for name in FAULTS}
     # Beside a leak from chamber b, a valve without underlap holds no weight: it lets chamber a run empty.
     hangs = config.plant.load.external_force != 0.0
     kinds = [kind for kind in TRAINED_FAULTS if not (hangs and kind == EXTERNAL_LEAK)]
     fitted = [name for name in SENSORS if getattr(config.sensors, name).fitted]
-    first, labels = np.full(count, -1), np.zeros((count, len(LABELS)), dtype=np.float32)
+    labels = np.zeros((count, len(LABELS)), dtype=np.float32)
     for axis in np.flatnonzero(generator.random(count) < share):
         for kind in generator.choice(kinds, 1 + (generator.random() < SECOND_FAULT), replace=False):
             size = generator.uniform(*getattr(config.faults, kind).range)
@@ -283,8 +244,6 @@ def draw_faults(
                 size *= generator.choice((-1.0, 1.0))
             name = generator.choice(faults_of(kind, fitted))
             sizes[name][axis] = size
-            if first[axis] < 0:
-                first[axis] = FAULTS.index(name)
             if name in LABEL_OF_FAULT:
                 labels[axis, LABEL_OF_FAULT[name]] = 1.0
-    return sizes, first, labels
+    return sizes, labels

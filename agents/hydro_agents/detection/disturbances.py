@@ -16,7 +16,7 @@ from hydro_agents.running.cases import TrueStateController
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.states import State
-from hydro_env.types import Array, Floats, Mask, Singles
+from hydro_env.types import Array, Floats, Indices, Mask, Singles
 
 Span = tuple[float, float]
 
@@ -73,9 +73,9 @@ class Disturbances(NamedTuple):
     course: Floats  # (N, 4, T)
     direct: Mask  # (N,), the pressure at the valve follows at once; else the setting of the relief valve
 
-    def felt(self, begins: Array, samples: int) -> Floats:
-        """Ranges of the courses in one window of each axis, over :data:`NOTICEABLE`, the largest; (N,)."""
-        ranges = np.ptp(cut(self.course, begins, samples), axis=2)
+    def felt(self, axes: Indices, begins: Array, samples: int) -> Floats:
+        """Ranges of the courses in one window of each of some axes, over :data:`NOTICEABLE`, the largest; (axes,)."""
+        ranges = np.ptp(cut(self.course[axes], begins, samples), axis=2)
         return (ranges / NOTICEABLE).max(axis=1)
 
     def read(self, signals: Array) -> None:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.dataset import LEAK_COURSES, LabelledWindows, TrainingPlan
+from hydro_agents.detection.dataset import LabelledWindows, training_jobs
 from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import (
@@ -29,7 +29,7 @@ from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.jobs import run_jobs
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.types import Arrays, ByName, Floats, Singles
+from hydro_env.types import Arrays, Floats, Singles
 
 NEVER_VARIED, INVALID = 1e-5, FEATURES.index("invalid features")
 RIDGE = 0.05  # added to the covariance of the standardised features before inversion
@@ -91,7 +91,7 @@ def train_head(
     tell = progress or (lambda *_: None)
 
     def windows(phase: str, split: str, episodes: int, first_seed: int) -> LabelledWindows:
-        jobs = TrainingPlan(config, controllers, settings, split).jobs(episodes, first_seed)
+        jobs = training_jobs(config, controllers, settings, split, episodes, first_seed)
         found = run_jobs(jobs, folder, lambda _, done, total: tell(phase, done, total, ""))
         for result in found.values():
             if result.error:
@@ -100,10 +100,8 @@ def train_head(
 
     data = windows("data", "training", settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start)
     validation = windows("validation", "validation", settings.validation_episodes, THRESHOLDS.first)
-    record = {"seed": seed, "settings": settings.model_dump(mode="json")}
-    tensors = fitted(data, settings, seed, tell)
-    head = calibrated(tensors, config, settings.longest_window(config), validation, record)
-    head.settings.training["seconds"] = round(time.monotonic() - began, 1)
+    head = calibrated(fitted(data, settings, seed, tell), config, settings, validation)
+    head.settings.training.update(seed=seed, seconds=round(time.monotonic() - began, 1))
     return head
 
 
@@ -168,7 +166,7 @@ def size_target(size: Floats) -> Singles:
 
 
 def calibrated(
-    tensors: Arrays, config: TaskConfig, longest: int, windows: LabelledWindows, record: ByName
+    tensors: Arrays, config: TaskConfig, settings: HeadTrainingSettings, windows: LabelledWindows
 ) -> LeakageHead:
     """The head with thresholds, intervals and the bound of "outside" from validation windows.
 
@@ -179,24 +177,31 @@ def calibrated(
     """
     windows = windows.part((windows.disturbance == 0.0) & (windows.features[:, SPREAD] >= STILL))
     inputs = standardised(windows.features, tensors["mean"], tensors["scale"])
-    plain = HeadSettings(
-        task=config, window=config.steps, longest=longest, threshold=0.5, width=len(tensors["bias_0"]), training=record
+    head = LeakageHead(
+        tensors,
+        HeadSettings(
+            task=config,
+            window=config.steps,
+            longest=settings.longest_window(config),
+            threshold=0.5,
+            width=settings.width,
+            training={"settings": settings.model_dump(mode="json")},
+        ),
     )
-    output = LeakageHead(tensors, plain).outputs(inputs)
+    output = head.outputs(inputs)
     strange = np.column_stack([np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), output[:, OUTSIDE]])
     tensors["limit"] = np.quantile(strange, 1.0 - OUTSIDE_RATE, axis=0).astype(np.float32)
-    usual = (windows.noise == 1.0) & (windows.leak != LEAK_COURSES.index("orifice"))
-    windows, output = windows.part(usual), output[usual]
-    clean = (windows.fault < 0) & (windows.leak == LEAK_COURSES.index("constant")) & (windows.labels[:, 0] == 0.0)
+    windows, output = windows.part(windows.usual), output[windows.usual]
+    clean = windows.plain & (windows.labels[:, 0] == 0.0)
     probability = probabilities(output)
     for label in range(len(LABELS)):
         without = clean if label == 0 else windows.labels[:, label] == 0.0
         tensors["thresholds"][label] = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
-    threshold = min(float(tensors["thresholds"][0]), 1.0)
     found, size = quantiles(output), size_target(windows.size)
     tensors["widths"] = np.quantile(found[:, 2] - found[:, 0], np.arange(1, WIDTHS) / WIDTHS).astype(np.float32)
     tensors["changing"][0] = np.quantile(windows.features[:, CHANGE], 1.0 - CHANGING_SHARE)
     group = groups(found, windows.features[:, CHANGE], tensors["widths"], float(tensors["changing"][0]))
     for number in range(GROUPS):
         tensors["widening"][number] = distances(found, size, group == number)
-    return LeakageHead(tensors, plain.model_copy(update={"threshold": threshold}))
+    threshold = min(float(tensors["thresholds"][0]), 1.0)
+    return LeakageHead(tensors, head.settings.model_copy(update={"threshold": threshold}))

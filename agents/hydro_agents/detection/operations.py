@@ -24,36 +24,13 @@ def at_rest(config: TaskConfig) -> TaskConfig:
     return task_config(config, references={"weights": {"step": 1.0}, "step_range": (SMALLEST_STEP, SMALLEST_STEP)})
 
 
-class Manner(NamedTuple):
-    """How an axis is operated: ranges from which each axis draws; all are log-uniform."""
-
-    gain: Span = (2.0, 60.0)  # command for an error of one stroke
-    delay: Span = (1.0, 1.0)  # control periods from the error to the command; 1: none
-    interval: Span = (1.0, 1.0)  # control periods between two decisions
-    step: Span = (1e-9, 1e-9)  # resolution of the command
-    relay: Span = (1e-9, 1e-9)  # size of a relay command towards the reference, instead of the gain; 1e-9: none
-    amplitude: Span = (1e-9, 1e-9)  # of the wave
-    period: Span = (2.0, 2.0)  # of the wave, control periods
-
-
-MANNERS = {
-    "proportional": Manner(),
-    "by hand": Manner(gain=(2.0, 20.0), delay=(20.0, 60.0), interval=(15.0, 100.0), step=(0.01, 0.1)),
-    "chattering": Manner(relay=(0.02, 0.5), delay=(1.0, 3.0)),
-    "dithering": Manner(gain=(5.0, 50.0), amplitude=(0.01, 0.15), period=(2.0, 15.0)),
-    "open loop": Manner(gain=(0.2, 2.0), amplitude=(0.02, 0.6), period=(30.0, 600.0)),
-}
-"""Manners by name."""
-
-
 class _Operator:
     """Acts on N axes in one episode each, and remembers it: commands from the position error.
 
     They come beside the command that holds the initial position.
     """
 
-    start: Callable[[Floats], None]  # prepare for the episodes, from the error (N,) in strokes
-    act: Callable[[Floats], Floats]  # commands (N,) from the error
+    act: Callable[[Floats], Floats]  # commands (N,) from the error (N,) in strokes
 
     def __init__(self, config: TaskConfig) -> None:
         self.layout, self.control_period = ObservationLayout.of(config), config.control_period
@@ -65,35 +42,47 @@ class _Operator:
         error = self.layout.si(batch, "tracking_error") / self.stroke
         if state is None:
             self.time, self.holding = 0, self.layout.si(batch, "previous_command")  # control periods; (N,)
-            self.start(error)
         command = self.act(error)
         self.time += 1
         return np.clip(command, -1.0, 1.0).astype(np.float32)[:, None], True
 
 
 class Operation(_Operator):
-    """Operates N axes in one manner, each with its own parameters, which the seed draws; one episode per axis."""
+    """Operates N axes in one manner, each with its own parameters, which the seed draws; one episode per axis.
 
-    def __init__(self, manner: Manner, config: TaskConfig, count: int, seed: int) -> None:
+    The arguments after the seed are ranges from which each axis draws; all are log-uniform.
+    """
+
+    def __init__(
+        self,
+        config: TaskConfig,
+        count: int,
+        seed: int,
+        gain: Span = (2.0, 60.0),  # command for an error of one stroke
+        delay: Span = (1.0, 1.0),  # control periods from the error to the command; 1: none
+        interval: Span = (1.0, 1.0),  # control periods between two decisions
+        step: Span = (1e-9, 1e-9),  # resolution of the command
+        relay: Span = (1e-9, 1e-9),  # size of a relay command towards the reference, instead of the gain; 1e-9: none
+        amplitude: Span = (1e-9, 1e-9),  # of the wave
+        period: Span = (2.0, 2.0),  # of the wave, control periods
+    ) -> None:
         super().__init__(config)
         self.generator = np.random.default_rng(seed)
 
         def drawn(span: Span) -> Floats:
-            return np.exp(self.generator.uniform(np.log(span[0]), np.log(span[1]), count))
+            low, high = np.log(span)
+            return np.exp(self.generator.uniform(low, high, count))
 
-        self.gain, self.amplitude, self.relay = drawn(manner.gain), drawn(manner.amplitude), drawn(manner.relay)
-        self.step = drawn(manner.step)
-        self.delay = drawn(manner.delay).round().astype(int)
-        self.interval, self.period = drawn(manner.interval).round(), drawn(manner.period).round()
+        self.gain, self.amplitude, self.relay, self.step = map(drawn, (gain, amplitude, relay, step))
+        self.delay = drawn(delay).round().astype(int)
+        self.interval, self.period = drawn(interval).round(), drawn(period).round()
         self.wave = self.generator.integers(0, len(WAVES), count)
-
-    def start(self, error: Floats) -> None:
-        """No decision and no noise yet, and the error as if it had been the same for long."""
-        self.decided, self.level = np.zeros_like(error), np.zeros_like(error)
-        self.errors = np.repeat(error[None], int(self.delay.max()), 0)
+        self.decided = self.level = np.zeros(count)
 
     def act(self, error: Floats) -> Floats:
         """Commands (N,): of the last decision, and a wave."""
+        if self.time == 0:  # as if the error had been the same for long
+            self.errors = np.repeat(error[None], int(self.delay.max()), 0)
         time, axes = self.time, np.arange(len(error))
         self.errors = np.concatenate([self.errors[1:], error[None]])
         seen = self.errors[len(self.errors) - self.delay, axes]
@@ -117,10 +106,9 @@ class _Unseen(_Operator):
         self.law = law
         self.numbers = np.random.default_rng([seed, 7]).random((4, count))
 
-    def start(self, error: Floats) -> None:
-        self.last, self.command = error, np.zeros_like(error)  # of the previous sample
-
     def act(self, error: Floats) -> Floats:
+        if self.time == 0:
+            self.last, self.command = error, np.zeros_like(error)  # of the previous sample
         self.command = self.law(self, error)
         self.last = error
         return self.holding + self.command
@@ -182,7 +170,11 @@ ACTING: dict[str, Make] = {
     "PID": partial(_shipped, "pid"),
     "PPO on flow linearisation": partial(_shipped, "ppo"),
     "flow-linearising": partial(_shipped, "flow_linearising"),
-    **{name: partial(Operation, manner) for name, manner in MANNERS.items()},
+    "proportional": Operation,
+    "by hand": partial(Operation, gain=(2.0, 20.0), delay=(20.0, 60.0), interval=(15.0, 100.0), step=(0.01, 0.1)),
+    "chattering": partial(Operation, relay=(0.02, 0.5), delay=(1.0, 3.0)),
+    "dithering": partial(Operation, gain=(5.0, 50.0), amplitude=(0.01, 0.15), period=(2.0, 15.0)),
+    "open loop": partial(Operation, gain=(0.2, 2.0), amplitude=(0.02, 0.6), period=(30.0, 600.0)),
     **{name: partial(_Unseen, law) for name, law in UNSEEN.items()},
 }
 """Controllers of the axes, by name."""
@@ -201,7 +193,7 @@ class OperationShare(NamedTuple):
 
     share: float
     task: Change
-    manner: str = ""  # of MANNERS; default: the controllers of the study
+    manner: str = ""  # of ACTING; default: the controllers of the study
 
 
 OPERATIONS = (

@@ -190,7 +190,7 @@ def tune_controller(
 
     display.update(f"tune {name}", 0, budget.evaluations)
     search = Search(budget.evaluations, seed, budget.cases, start)
-    tuned = tune(entry.kind, study.task, search, folder, report)
+    tuned = tune(entry.kind, [study.task], search, folder, report)
     made = CONTROLLERS[entry.kind][0](tuned.gains, study.task)
     found = counted_at_rest(made, study.task, STANDSTILLS, STANDSTILL_CASES)
     note = f"{rest_text(found)} (drawn plants and leaks, without sensor noise)"

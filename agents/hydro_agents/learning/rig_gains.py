@@ -103,7 +103,7 @@ def gains_by_search(kind: str, config: TaskConfig) -> Group:
     chosen = chosen_gains(kind, config)
     found = [gain_sets(kind, config)[0], chosen]
     search = Search(evaluations=NEARBY, cases=SEARCH_CASES, start=chosen, spread=NEAR[kind], separable=True)
-    tune(kind, config, search, progress=lambda best: found.append(best.gains))
+    tune(kind, [config], search, progress=lambda best: found.append(best.gains))
     leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
     errors = np.zeros(len(leaders))
     judges = neighbours(config)

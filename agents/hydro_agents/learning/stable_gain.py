@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -35,11 +36,6 @@ class Weakest(NamedTuple):
     gain: float  # 1/m; infinite if no gain makes a loop unstable
     loop: SampledLoop
 
-    @property
-    def recommended(self) -> float:
-        """Recommended proportional gain, 1/m: half of the largest stable one."""
-        return SHARE_OF_STABLE * self.gain
-
 
 def weakest(loops: Iterable[SampledLoop]) -> Weakest | None:
     """The loop with the smallest of the largest stable gains; ``None`` without a loop."""
@@ -54,27 +50,22 @@ def weakest(loops: Iterable[SampledLoop]) -> Weakest | None:
     return found
 
 
-def nominal_loops(task: TaskConfig, leak: float = HEALTHY_LEAK) -> Iterator[SampledLoop]:
-    """Loops around the task's own plant over its reach, with a leak in l/min at 100 bar."""
-    plant = beyond_dead_band(leaking(task.plant, leak))
-    return _loops(plant, places_in_reach(plant), task)
+def loops_over_reach(
+    task: TaskConfig, plant: PlantParameters, leak: float = HEALTHY_LEAK, every: int = 1
+) -> Iterator[SampledLoop]:
+    """Loops around a plant, with the timing of a task and a leak in l/min at 100 bar, at ``every`` so many places."""
+    plant = beyond_dead_band(leaking(plant, leak))
+    for place in places_in_reach(plant)[::every]:
+        with suppress(HydroError):  # the plant cannot be held there
+            yield sampled_loop(plant, place, task.control_period, task.command_latency)
 
 
 def loops_within_ranges(task: TaskConfig) -> Iterator[SampledLoop]:
     """Loops around the task's own plant and around plants drawn from its ranges, with healthy seals."""
-    yield from nominal_loops(task)
+    yield from loops_over_reach(task, task.plant)
     if task.randomisation:
-        for drawn in drawn_plants(task):
-            plant = beyond_dead_band(leaking(drawn, HEALTHY_LEAK))
-            yield from _loops(plant, places_in_reach(plant)[::2], task)
-
-
-def _loops(plant: PlantParameters, places: list[float], task: TaskConfig) -> Iterator[SampledLoop]:
-    for place in places:
-        try:
-            yield sampled_loop(plant, place, task.control_period, task.command_latency)
-        except HydroError:  # the plant cannot be held there
-            continue
+        for plant in drawn_plants(task):
+            yield from loops_over_reach(task, plant, every=2)
 
 
 def drawn_plants(task: TaskConfig) -> Iterator[PlantParameters]:
@@ -198,7 +189,7 @@ def pid_from_figures(task: TaskConfig, loops: Iterable[SampledLoop] | None = Non
     moves = min(speed_limits(beyond_dead_band(task.plant))) > 0.0
     if found is None or not moves or not 0.0 < found.gain < math.inf:
         return None
-    return pid_with_gain(task, found.recommended)
+    return pid_with_gain(task, SHARE_OF_STABLE * found.gain)
 
 
 def pid_with_gain(task: TaskConfig, gain: float) -> PIDGains:

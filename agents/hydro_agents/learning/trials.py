@@ -6,7 +6,7 @@ no controller sees the sensor's bias.
 """
 
 from collections.abc import Sequence
-from contextlib import closing
+from typing import Any
 
 import numpy as np
 
@@ -63,51 +63,44 @@ def costs_of(
     size, candidates = len(cases), len(controllers)
     first = 0 if judged is None else config.steps - round(judged / config.control_period)
     price = EFFORT_TIME * full_speed(config.plant)
-    with closing(ServoHydraulicVectorEnv(candidates * size, config, autoreset_mode="NextStep", info=False)) as env:
-        leaks, families = (list(cases.options[name]) * candidates for name in ("leakage_flow_lpm", "reference"))
-        options = {"leakage_flow_lpm": leaks, "reference": families}
-        observation, _ = env.reset(seed=cases.seeds.tolist() * candidates, options=options)
-        axes = env.axes
-        reference = axes.reference[:, : config.steps + 1] - axes.column("bias")[:, _POSITION, None]
-        before = axes.column("command").copy()
-        memories = [None] * candidates
-        able = np.array([controller is not None for controller in controllers])
-        alive, total = np.ones(len(before), dtype=bool), np.zeros(len(before))
+    env = ServoHydraulicVectorEnv(candidates * size, config, autoreset_mode="NextStep", info=False)
+    options = {name: np.tile(values, candidates).tolist() for name, values in cases.options.items()}
+    observation, _ = env.reset(seed=cases.seeds.tolist() * candidates, options=options)
+    axes = env.axes
+    reference = axes.reference[:, : config.steps + 1] - axes.column("bias")[:, _POSITION, None]
+    before = axes.column("command").copy()
+    acting = {place: one for place, one in enumerate(controllers) if one is not None}
+    memories: dict[int, Any] = {}
+    alive, total = np.ones(len(before), dtype=bool), np.zeros(len(before))
+    for step in range(config.steps):
         action = np.zeros((len(before), 1), dtype=np.float32)
-        for step in range(config.steps):
-            started = np.full(size, step == 0)
-            action[:] = 0.0
-            for number, controller in enumerate(controllers):
-                part = slice(number * size, (number + 1) * size)
-                if controller is None or not able[number]:
-                    continue
-                try:
-                    commands, memories[number] = controller.predict(observation[part], memories[number], started)
-                    able[number] = np.isfinite(commands).all()
-                except Exception:
-                    able[number] = False
-                if able[number]:
-                    action[part] = commands
-            observation, _, terminated, _, _ = env.step(action)
-            command = np.clip(action[:, 0].astype(float), -1.0, 1.0)
-            error = np.abs(reference[:, step + 1] - axes.column("position"))
-            if step >= first:
-                total += np.where(alive, error + price * (command - before) ** 2, config.plant.cylinder.stroke)
-            before = command
-            alive &= ~terminated
+        for place, controller in [*acting.items()]:
+            part, memory = slice(place * size, (place + 1) * size), memories.get(place)
+            try:
+                commands, memories[place] = controller.predict(observation[part], memory, np.full(size, step == 0))
+                action[part] = np.asarray_chkfinite(commands)
+            except Exception:
+                del acting[place]
+        observation, _, terminated, _, _ = env.step(action)
+        command = axes.column("command").copy()
+        error = np.abs(reference[:, step + 1] - axes.column("position"))
+        if step >= first:
+            total += np.where(alive, error + price * (command - before) ** 2, config.plant.cylinder.stroke)
+        before = command
+        alive &= ~terminated
     result = (total / (config.steps - first)).reshape(candidates, size)
-    result[~able] = REFUSED
+    result[[place for place in range(candidates) if place not in acting]] = REFUSED
     return result
 
 
-def summed_up(costs: Sequence[Floats], cases: Sequence[Cases]) -> Floats:
-    """Costs of the candidates of :func:`costs_of`, m, (candidates,): each family, resting ones too, weighs the same.
+def mean_logarithm(costs: Sequence[Floats], cases: Sequence[Cases]) -> Floats:
+    """Mean logarithms of the costs of the candidates of :func:`costs_of`, (candidates,).
 
-    They are geometric means over the families of the mean over their cases.
+    Each family, resting ones too, weighs the same, with the mean over its cases.
     """
     parts = []
     for own, rows in zip(cases, costs, strict=True):
         families = np.array(own.options["reference"])
         for family in dict.fromkeys(own.options["reference"]):
             parts.append(rows[:, families == family].mean(axis=1))
-    return np.exp(np.mean(np.log(parts), axis=0))
+    return np.asarray(np.log(parts).mean(axis=0))

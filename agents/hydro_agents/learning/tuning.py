@@ -8,22 +8,20 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
 
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.learning.trials import JUDGED, REST, costs_of, resting_cases, summed_up, tuning_cases
+from hydro_agents.learning.trials import JUDGED, REST, costs_of, mean_logarithm, resting_cases, tuning_cases
+from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, run_here
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, task_config
 from hydro_env.files import Group, validate
 from hydro_env.mistakes import unknown
 from hydro_env.types import Floats
-
-if TYPE_CHECKING:
-    from cmaes import CMA, SepCMA
 
 EVALUATIONS = 2800
 
@@ -45,11 +43,11 @@ class Space:
     def point(self, gains: Group) -> Floats:
         """Gains as a point of the cube, (n,); a gain outside its search range is clipped to it."""
         values = np.clip([float(getattr(gains, name)) for name in self.names], *self._ends)
-        return np.clip((self._scaled(values) - self._low) / self._width, 0.0, 1.0)
+        return (self._scaled(values) - self._low) / self._width
 
     def values(self, point: Floats) -> dict[str, float]:
         """The gains at a point of the cube, by name."""
-        scaled = self._low + self._width * np.clip(point, 0.0, 1.0)
+        scaled = self._low + self._width * point
         values = np.where(self._logarithmic, np.exp(np.where(self._logarithmic, scaled, 0.0)), scaled)
         return dict(zip(self.names, values.tolist(), strict=True))
 
@@ -58,7 +56,7 @@ class Tuned(NamedTuple):
     """The best candidate so far."""
 
     gains: Group
-    cost: float  # m, see :func:`~hydro_agents.learning.trials.summed_up`
+    cost: float  # m, see :func:`~hydro_agents.learning.trials.mean_logarithm`
     evaluations: int
 
 
@@ -78,13 +76,10 @@ class Search(NamedTuple):
     last digits differ; gains have six digits."""
 
 
-USUAL = Search()
-
-
 def tune(
     kind: str,
-    config: TaskConfig | Sequence[TaskConfig],
-    search: Search = USUAL,
+    tasks: Sequence[TaskConfig],
+    search: Search,
     folder: Path | None = None,
     progress: Callable[[Tuned], None] | None = None,
 ) -> Tuned:
@@ -92,7 +87,7 @@ def tune(
 
     Args:
         kind: the controller.
-        config: the task; of several tasks the geometric mean of the costs counts.
+        tasks: of several the geometric mean of the costs counts.
         search: how the search goes.
         folder: keeps the costs of every generation, and gives those that it has: an interrupted search goes on
             bit-equal.
@@ -104,10 +99,17 @@ def tune(
     if kind not in CONTROLLERS:
         raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}")
     group = CONTROLLERS[kind][1]
+    from cmaes import CMA, SepCMA  # loads scipy.stats
+
     start = search.start or group()
-    tasks = [config] if isinstance(config, TaskConfig) else list(config)
     space = Space(group, tasks[0].plant)
-    optimiser = _optimiser(space, start, search)
+    optimiser = (SepCMA if search.separable else CMA)(
+        space.point(start),
+        search.spread,
+        bounds=np.tile([0.0, 1.0], (len(space.names), 1)),
+        seed=search.seed,
+        population_size=search.population,
+    )
     best = None
     for generation in range(-(-search.evaluations // search.population)):
         points = [optimiser.ask() for _ in range(search.population)]
@@ -115,27 +117,17 @@ def tune(
         job = Job(costs_of_sets, kind, (gains, tasks, search.cases, search.seed), kind)
         costs = run_here(job, folder)["costs"].tolist()
         optimiser.tell(list(zip(points, costs, strict=True)))
-        evaluations = (generation + 1) * search.population
         leader = int(np.argmin(costs))
         leading = gains[leader]
         if leading is not None and (best is None or costs[leader] < best.cost):
-            best = Tuned(leading, costs[leader], evaluations)
+            best = Tuned(leading, costs[leader], 0)
         if best is not None:
-            best = best._replace(evaluations=evaluations)
+            best = best._replace(evaluations=(generation + 1) * search.population)
             if progress is not None:
                 progress(best)
     if best is None:
         raise ConfigurationError(f"{kind}: none of {search.evaluations} candidates could control the axis")
     return best
-
-
-def _optimiser(space: Space, start: Group, search: Search) -> "CMA | SepCMA":
-    from cmaes import CMA, SepCMA  # loads scipy.stats
-
-    strategy = SepCMA if search.separable else CMA
-    bounds = np.tile([0.0, 1.0], (len(space.names), 1))
-    point = space.point(start)
-    return strategy(point, search.spread, bounds=bounds, seed=search.seed, population_size=search.population)
 
 
 def _gains(start: Group, values: Mapping[str, float], rounded: bool) -> Group | None:
@@ -149,6 +141,8 @@ def _gains(start: Group, values: Mapping[str, float], rounded: bool) -> Group | 
 
 # The costs of candidates ---------------------------------------------------------------------------------------------
 
+Trial = tuple[TaskConfig, Cases, float | None]  # a task, its cases, and what counts of each episode: its last seconds
+
 
 def costs_of_sets(
     kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
@@ -157,31 +151,30 @@ def costs_of_sets(
 
     A set ``None`` is refused. ``cases`` is their number for each set, beside the resting ones.
     """
+    trials: list[Trial] = []
+    for number, task in enumerate(tasks, seed):
+        trials.append((task, tuning_cases(task, cases, number), None))
+        trials.append((task_config(task, episode_duration=REST), resting_cases(number), JUDGED))
     count = min(effective_n_jobs(None), len(gains))
     calls = []
     for part in range(count):
         own = gains[len(gains) * part // count : len(gains) * (part + 1) // count]
-        calls.append(delayed(cost_candidates)(kind, own, tasks, cases, seed))
-    parts = Parallel(n_jobs=count)(calls)
+        calls.append(delayed(_costs)(kind, own, trials))
     # Sums come after all parts are joined: their last bit depends on the number of candidates.
-    costs = [np.concatenate(rows) for rows in zip(*parts, strict=True)]
+    costs = [np.concatenate(rows) for rows in zip(*Parallel(n_jobs=count)(calls), strict=True)]
     found = []
-    for number, task in enumerate(tasks):
-        both = tuning_cases(task, cases, seed + number), resting_cases(seed + number)
-        found.append(summed_up(costs[2 * number : 2 * number + 2], both))
-    return {"costs": found[0] if len(tasks) == 1 else np.exp(np.log(found).mean(axis=0))}
+    for first in range(0, len(trials), 2):
+        both = slice(first, first + 2)
+        found.append(mean_logarithm(costs[both], [listed for _, listed, _ in trials[both]]))
+    return {"costs": np.exp(np.mean(found, axis=0))}
 
 
-def cost_candidates(
-    kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
-) -> list[Floats]:
-    """Costs of some candidates of a kind, (candidates, cases), on each task: of its cases, and of the resting ones."""
+def _costs(kind: str, gains: Sequence[Group | None], trials: Sequence[Trial]) -> list[Floats]:
+    """Costs of some candidates of a kind, (candidates, cases), in each trial."""
     costs = []
-    for number, task in enumerate(tasks):
+    for task, cases, judged in trials:
         controllers = [_controller(kind, one, task) for one in gains]
-        still = task_config(task, episode_duration=REST)
-        costs.append(costs_of(task, tuning_cases(task, cases, seed + number), controllers))
-        costs.append(costs_of(still, resting_cases(seed + number), controllers, JUDGED))
+        costs.append(costs_of(task, cases, controllers, judged))
     return costs
 
 

@@ -14,8 +14,8 @@ from hydro_agents.learning.stable_gain import (
     Weakest,
     beyond_dead_band,
     leaking,
+    loops_over_reach,
     loops_within_ranges,
-    nominal_loops,
     quiet_gains,
     weakest,
 )
@@ -211,7 +211,7 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
     healthy = None
     for leak, (here, plant) in zip(EXAMINED_LEAKS, plants.items(), strict=True):
         rows.append((timed, here, _figure(_largest_gain, plant, place, task), "1/m"))
-        over_reach, key = weakest(nominal_loops(task, leak)), ""
+        over_reach, key = weakest(loops_over_reach(task, task.plant, leak)), ""
         if leak == HEALTHY_LEAK:
             healthy, key = over_reach, "gain over the reach"
         rows.append((largest, f"{span}, {leak_text(leak)}", _gain(over_reach), "1/m", key))

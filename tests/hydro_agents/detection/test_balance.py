@@ -11,7 +11,7 @@ from hydro_agents.detection.balance_parts import factor, hold, substitute
 from hydro_agents.detection.damaged_signals import repair, repaired, stuck_sensors
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.features import CHANGE, FEATURES, describe, features_of
-from hydro_agents.detection.operations import MANNERS, Operation
+from hydro_agents.detection.operations import ACTING
 from hydro_agents.detection.sheet import Unknowns, sheet_of
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
@@ -177,7 +177,7 @@ def test_working_sensors_the_ends_of_the_range_and_lost_samples_are_not_stuck():
 def test_without_a_spool_sensor_the_nominal_valve_answers_the_commands():
     task = task_config(randomisation={}, sensors={"enabled": False})
     seeds = TRAINING_SEEDS.start + 945_000 + np.arange(3)
-    signals, _ = measured_run(task, Operation(MANNERS["dithering"], task, 3, 0), Cases(seeds))
+    signals, _ = measured_run(task, ACTING["dithering"](task, 3, 0), Cases(seeds))
     blind = signals.copy()
     blind[:, SPOOL] = np.nan
     filled, lost = repaired(blind, sheet_of(task))

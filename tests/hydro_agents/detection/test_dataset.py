@@ -5,19 +5,28 @@ import pytest
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection import dataset
-from hydro_agents.detection.dataset import LABEL_OF_FAULT, Chunk, LabelledWindows, TrainingPlan, draw_faults, simulated
+from hydro_agents.detection.dataset import (
+    LABEL_OF_FAULT,
+    Chunk,
+    LabelledWindows,
+    draw_faults,
+    rigs_of,
+    simulated,
+    training_jobs,
+)
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_env.task.faults import FAULTS, SIGNED_KINDS
+from hydro_env.task.faults import SIGNED_KINDS
 from hydro_env.task.law import RigLaw
 
 CONFIG = TaskConfig(episode_duration=0.4)
 CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)
-PLAN = TrainingPlan(CONFIG, [CONTROLLER], HeadTrainingSettings())
+FIRST_SEED = TRAINING_SEEDS.start + 920_000
+SOUND = HeadTrainingSettings(fault_share=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +38,17 @@ def windows():
 
 
 def made():
-    return [LabelledWindows(**job.run().metrics) for job in PLAN.jobs(120, TRAINING_SEEDS.start + 920_000).values()]
+    return [LabelledWindows(**job.run().metrics) for job in jobs_under(CONTROLLER).values()]
+
+
+def jobs_under(controller):
+    return training_jobs(CONFIG, [controller], HeadTrainingSettings(), "training", 120, FIRST_SEED)
 
 
 def test_chunks_do_not_depend_on_others_nor_on_controllers_that_are_not_theirs(windows, monkeypatch):
     monkeypatch.setattr(dataset, "OPERATIONS", dataset.OPERATIONS[::4])
-    others = PLAN.jobs(120, TRAINING_SEEDS.start + 920_000)
-    own = {number for number, job in others.items() if job.participant is None}
-    early = TrainingPlan(CONFIG, [PID(PIDGains(proportional=30.0), CONFIG)], PLAN.settings).jobs(
-        120, TRAINING_SEEDS.start + 920_000
-    )
+    own = {number for number, job in jobs_under(CONTROLLER).items() if job.participant is None}
+    early = jobs_under(PID(PIDGains(proportional=30.0), CONFIG))
     number = max(own, key=int)
     job = early[number]
     assert len(own) < len(early)
@@ -57,14 +67,15 @@ def test_windows_are_labelled(windows):
 
 
 def test_every_label_but_the_leak_follows_from_a_fault():
-    sizes, first, labels = draw_faults(CONFIG, np.random.default_rng(0), 3000, 0.6)
-    assert 0.55 < np.mean(first >= 0) < 0.65
-    assert not labels[first < 0].any()
+    sizes, labels = draw_faults(CONFIG, np.random.default_rng(0), 3000, 0.6)
+    faults = np.count_nonzero([*sizes.values()], axis=0)
+    assert 0.55 < np.mean(faults > 0) < 0.65
+    assert not labels[faults == 0].any()
     for label in range(1, len(LABELS)):
         named = [name for name, of in LABEL_OF_FAULT.items() if of == label]
         present = np.any([sizes[name] != 0.0 for name in named], axis=0)
         np.testing.assert_array_equal(labels[:, label] == 1.0, present)
-    assert not labels[(sizes["position_offset"] != 0.0) & (first == FAULTS.index("position_offset"))][:, 1:3].all()
+    assert not labels[(sizes["position_offset"] != 0.0) & (faults == 1)].any()
     for kind in ("valve_null_shift", "valve_underlap"):
         assert (sizes[kind].min() < 0.0) == (kind in SIGNED_KINDS)
     hanging = task_config(plant={"load": {"external_force": 2000.0}})  # a weight meets no leak past the rod seal
@@ -75,9 +86,8 @@ def test_every_label_but_the_leak_follows_from_a_fault():
 @pytest.mark.parametrize("leak", ["onset", "growth"])
 def test_a_changing_leak_is_labelled_with_its_size_at_the_end_of_the_window(leak):
     config = TaskConfig()
-    plan = TrainingPlan(config, [CONTROLLER], HeadTrainingSettings(fault_share=0.0))
     seeds = TRAINING_SEEDS.start + 930_000 + np.arange(60)
-    data = LabelledWindows(**simulated(None, plan.settings, Chunk(4, -1, leak, 60), seeds, config))
+    data = LabelledWindows(**simulated(None, SOUND, Chunk(4, "proportional", leak, 60), seeds, config))
     assert len(data.size) >= 55
     early, late = (data.features[:, FEATURES.index(f"change of leak in part {part}")] for part in (1, 8))
     large = data.size > 1.0
@@ -90,13 +100,13 @@ def test_a_changing_leak_is_labelled_with_its_size_at_the_end_of_the_window(leak
 
 
 def test_with_a_law_the_chunks_take_its_rigs_in_turn_and_leaks_are_in_their_unit():
-    plan = TrainingPlan(TaskConfig(), (), HeadTrainingSettings(law=RigLaw(count=6), fault_share=0.0))
-    others = TrainingPlan(TaskConfig(), (), plan.settings, "validation")
-    bores = [[task.plant.load.mass for task in each.rigs] for each in (plan, others)]
+    settings = HeadTrainingSettings(law=RigLaw(count=6), fault_share=0.0)
+    rigs, others = (rigs_of(TaskConfig(), settings, split) for split in ("training", "validation"))
+    bores = [[task.plant.load.mass for task in each] for each in (rigs, others)]
     assert len({*bores[0], *bores[1]}) == 12
-    large = max(plan.rigs, key=leak_scale)
+    large = max(rigs, key=leak_scale)
     seeds = TRAINING_SEEDS.start + 940_000 + np.arange(24)
-    data = LabelledWindows(**simulated(None, plan.settings, Chunk(4, -1, "constant", 24), seeds, large))
+    data = LabelledWindows(**simulated(None, settings, Chunk(4, "proportional", "constant", 24), seeds, large))
     np.testing.assert_array_equal(data.labels[:, 0] == 1.0, data.size > 0.03)
     leaking = data.size > 0.3
     found = 0.02 * np.sinh(data.features[leaking, FEATURES.index("small internal leak")])

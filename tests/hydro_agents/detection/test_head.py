@@ -11,7 +11,7 @@ from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection import dataset
-from hydro_agents.detection.dataset import LEAK_COURSES, LabelledWindows, TrainingPlan
+from hydro_agents.detection.dataset import LabelledWindows, training_jobs
 from hydro_agents.detection.features import FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import AT_REST, OUTPUTS, OUTSIDE, LeakageEstimate, LeakageHead
 from hydro_agents.detection.head_training import (
@@ -73,10 +73,6 @@ def trained(folder=None, settings=SMALL, controller=CONTROLLER, **options):
     return train_head(CONFIG, [controller], settings, folder=folder, **options)
 
 
-def windows_of(jobs):
-    return LabelledWindows.joined([LabelledWindows(**job.run().metrics) for job in jobs.values()])
-
-
 def interrupted(folder, when):
     """A training that Ctrl-C stops when ``when(phase, done, total)`` is true."""
 
@@ -89,11 +85,10 @@ def interrupted(folder, when):
 
 
 def test_learns_to_tell_leaks(head):
-    plan = TrainingPlan(CONFIG, [CONTROLLER], SETTINGS)
-    windows = windows_of(plan.jobs(150, TRAINING_SEEDS.start + 900_000))
+    jobs = training_jobs(CONFIG, [CONTROLLER], SETTINGS, "training", 150, TRAINING_SEEDS.start + 900_000)
+    windows = LabelledWindows.joined([LabelledWindows(**job.run().metrics) for job in jobs.values()])
     estimate = LeakageEstimate(*head.judge(windows.features).T)
-    kept = (windows.fault < 0) & (windows.leak == LEAK_COURSES.index("constant"))
-    kept &= (windows.size <= 0.03) | (windows.size >= 0.5)
+    kept = windows.plain & ((windows.size <= 0.03) | (windows.size >= 0.5))
     leaking = windows.size[kept] >= 0.5
     assert roc_auc_score(leaking, estimate.probability[kept]) > 0.9
     found, true = np.log(estimate.flow_lpm[kept][leaking]), np.log(windows.size[kept][leaking])
@@ -182,11 +177,10 @@ def test_thresholds_and_intervals_hold_what_they_say_on_validation_windows(head)
     labels = np.zeros((count, len(LABELS)), dtype=np.float32)
     labels[:, 0] = flow > 0.03
     features = generator.standard_normal((count, len(FEATURES))).astype(np.float32)
-    nobody = np.full(count, -1)
     features[:, SPREAD] -= 3.5  # half of them stand still
-    nothing = np.zeros(count, dtype=np.int64)
-    windows = LabelledWindows(features, labels, flow, nobody, nothing, np.ones(count), np.zeros(count))
-    found = calibrated(dict(head.tensors), CONFIG, 4 * CONFIG.steps, windows, {})
+    yes = np.ones(count, dtype=bool)
+    windows = LabelledWindows(features, labels, flow, yes, yes, np.zeros(count))
+    found = calibrated(dict(head.tensors), CONFIG, SETTINGS, windows)
     estimate = LeakageEstimate(*found.judge(features).T)
     moves = features[:, SPREAD] >= STILL
     np.testing.assert_array_equal(estimate.outside == AT_REST, ~moves)

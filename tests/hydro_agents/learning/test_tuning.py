@@ -10,7 +10,7 @@ from hydro_agents.commands.study import train
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning import tuning
-from hydro_agents.learning.trials import JUDGED, REFUSED, costs_of, resting_cases, summed_up, tuning_cases
+from hydro_agents.learning.trials import JUDGED, REFUSED, costs_of, mean_logarithm, resting_cases, tuning_cases
 from hydro_agents.learning.tuning import Search, tune
 from hydro_agents.running.cases import run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER
@@ -32,7 +32,7 @@ def short_rest(monkeypatch):
 def test_the_search_improves_the_cost(tmp_path):
     seen = []
     search = SMALL._replace(evaluations=18, separable=True)  # alike on every processor
-    best = tune("pid", SHORT, search, tmp_path, seen.append)
+    best = tune("pid", [SHORT], search, tmp_path, seen.append)
     assert [one.evaluations for one in seen] == [6, 12, 18]
     assert seen[-1].cost < seen[0].cost
     assert (seen[-1].gains, seen[-1].cost) == (best.gains, best.cost)
@@ -51,26 +51,26 @@ def test_of_several_tasks_the_geometric_mean_counts():
     for number, task in enumerate(tasks):
         still, pid = task_config(task, episode_duration=tuning.REST), [PID(best.gains, task)]
         cases = tuning_cases(task, 7, number), resting_cases(number)
-        found += [*summed_up([costs_of(task, cases[0], pid), costs_of(still, cases[1], pid, JUDGED)], cases)]
-    assert best.cost == pytest.approx(np.sqrt(found[0] * found[1]))
+        found += [*mean_logarithm([costs_of(task, cases[0], pid), costs_of(still, cases[1], pid, JUDGED)], cases)]
+    assert best.cost == pytest.approx(np.exp(np.mean(found)))
 
 
 def test_a_stopped_search_goes_on_bit_equal_and_another_one_begins_anew(tmp_path):
     search = SMALL._replace(evaluations=18, separable=True)  # alike on every processor
-    whole = tune("pid", SHORT, search, tmp_path / "whole")
+    whole = tune("pid", [SHORT], search, tmp_path / "whole")
 
     def stop(best):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        tune("pid", SHORT, search, tmp_path / "parts", stop)
+        tune("pid", [SHORT], search, tmp_path / "parts", stop)
     assert len(kept(tmp_path / "parts")) == 1
-    assert tune("pid", SHORT, search, tmp_path / "parts") == whole
+    assert tune("pid", [SHORT], search, tmp_path / "parts") == whole
     np.testing.assert_equal(kept(tmp_path / "parts"), kept(tmp_path / "whole"))
     longer = TaskConfig(episode_duration=0.4)
     for task, other in ((SHORT, SMALL._replace(seed=1)), (SHORT, SMALL._replace(cases=14)), (longer, SMALL)):
         before = len(kept(tmp_path / "whole"))
-        tune("pid", task, other, tmp_path / "whole")
+        tune("pid", [task], other, tmp_path / "whole")
         assert len(kept(tmp_path / "whole")) == before + 1
 
 
@@ -85,9 +85,9 @@ def test_costs_are_error_and_price_of_the_same_cases_for_every_candidate():
     np.testing.assert_array_equal(costs[0], costs[2])
     assert (costs[0] >= error + price - 1e-8).all()  # the first change is not in the run
     np.testing.assert_allclose(costs[0], error + price, atol=2e-6)
-    cost = summed_up([costs], [cases])[0]
+    logarithm = mean_logarithm([costs], [cases])[0]
     means = [costs[0][cases.families == name].mean() for name in dict.fromkeys(cases.families)]
-    assert cost == pytest.approx(np.exp(np.mean(np.log(means))))
+    assert logarithm == pytest.approx(np.mean(np.log(means)))
 
 
 def test_an_oscillation_at_rest_costs_although_it_hardly_shows_while_the_axis_moves():
