@@ -111,6 +111,8 @@ def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
     Raises:
         ConfigurationError: the file is missing, unreadable, too large, or in another encoding.
     """
+    if "\0" in str(path):
+        raise ConfigurationError(f"{str(path)!r}: cannot be read: no path holds a zero byte")
     with at(f"{path}: cannot be read"), open(path, "rb") as file:
         content = file.read(largest + 1)
     if len(content) > largest:

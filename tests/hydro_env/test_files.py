@@ -36,6 +36,11 @@ def test_a_hostile_file_is_refused_with_one_line(tmp_path, read, content, messag
         read(file)
 
 
+def test_a_path_with_a_zero_byte_is_refused(tmp_path):
+    with refused(r"a\\x00b': cannot be read: no path holds a zero byte"):
+        read_text(tmp_path / "a\0b")
+
+
 def test_numbers_and_dates_of_yaml(tmp_path):
     (tmp_path / "a.yaml").write_text("a: 1e5\nb: -2.5E-3\nc: 2024-13-45\nd: &d [1]\ne: *d\nf: .5e1\ng: e5\n")
     values = read_yaml(tmp_path / "a.yaml")
