@@ -40,7 +40,7 @@ def tune_for_any_rig(folder: Path, evaluations: int) -> None:
         write_yaml(folder / "gains.yaml", best.gains.model_dump(mode="json"))
         print(f"{best.evaluations} candidates: {1e3 * best.cost:.5f} mm", flush=True)
 
-    search = Search(evaluations=evaluations, cases=CASES, start=start)
+    search = Search(start, evaluations, cases=CASES)
     tune(KIND, tasks, search, folder, progress)
 
 
@@ -71,7 +71,7 @@ def tuned_for(task: TaskConfig, folder: Path, evaluations: int, cases: int = 42)
     """Gains tuned for one rig, from those for any rig; a file keeps them."""
     file = folder / "gains.yaml"
     if not file.exists():
-        best = tune(KIND, [task], Search(evaluations=evaluations, cases=cases), folder)
+        best = tune(KIND, [task], Search(FlowLinearisingGains(), evaluations, cases=cases), folder)
         write_yaml(file, best.gains.model_dump(mode="json"))
     return FlowLinearisingGains(**read_yaml(file))
 

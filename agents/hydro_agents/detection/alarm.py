@@ -78,13 +78,6 @@ class AlarmState(NamedTuple):
     alarm: Mask  # (N,), latched
 
 
-class Alarm(NamedTuple):
-    """State of the alarms after a look, each (N,)."""
-
-    alarm: Mask  # latched until ``reset``
-    total: Floats  # the sum divided by its threshold; the alarm rises above 1
-
-
 class LeakAlarm:
     """N alarms with the same settings: ``begin``, then one ``update`` per look.
 
@@ -97,8 +90,8 @@ class LeakAlarm:
         >>> alarm = LeakAlarm(AlarmSettings.load(config_folder() / "agents" / "alarm.yaml"))
         >>> state, moving = alarm.begin(count=2), np.full(2, Activity.MOVING)
         >>> for _ in range(20):  # looks at two axes, of which the second one leaks
-        ...     now, state = alarm.update(Reading.of([0.01, 0.1]), moving, state)
-        >>> now.alarm
+        ...     state = alarm.update(Reading.of([0.01, 0.1]), moving, state)
+        >>> state.alarm
         array([False,  True])
     """
 
@@ -118,8 +111,8 @@ class LeakAlarm:
             alarm=np.zeros(count, dtype=bool),
         )
 
-    def update(self, look: Reading, activity: NDArray[np.int8], state: AlarmState) -> tuple[Alarm, AlarmState]:
-        """Add one look at each axis.
+    def update(self, look: Reading, activity: NDArray[np.int8], state: AlarmState) -> AlarmState:
+        """Add one look at each axis; returns the next memory.
 
         A look without a score adds nothing, nor does one that the detector cannot explain (no answer). A named
         fault does not clear the seal: an axis may have both.
@@ -143,8 +136,4 @@ class LeakAlarm:
         after = AlarmState(state.mean.copy(), state.seen.copy(), total, alarm)
         after.mean[axes, activity] += np.where(learns, np.clip(score - mean, -reach, reach) / (seen + 1.0), 0.0)
         after.seen[axes, activity] += learns
-        return Alarm(alarm, total / self.settings.threshold), after
-
-    def reset(self, state: AlarmState, axes: Mask) -> AlarmState:
-        """Acknowledge the alarms of some axes (N,): their evidence starts at zero again, their baselines stay."""
-        return state._replace(total=np.where(axes, 0.0, state.total), alarm=state.alarm & ~axes)
+        return after

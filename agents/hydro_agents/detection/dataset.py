@@ -9,7 +9,7 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, cut, measured_run
 from hydro_agents.detection.disturbances import DISTURBANCES, Disturbed, drawn
 from hydro_agents.detection.features import LABELS, features_of
-from hydro_agents.detection.operations import ACTING, OPERATIONS
+from hydro_agents.detection.operations import ACTING, MOTIONS, OPERATIONS
 from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
 from hydro_agents.detection.training_settings import LARGEST_LEAK, LEAST_LEAK, HeadTrainingSettings
 from hydro_agents.running.cases import Cases
@@ -153,6 +153,7 @@ def simulated(
     plain = ~np.any([*faults.values()], axis=0) & (chunk.leak == "constant")
     usual = np.full(count, noise == 1.0 and chunk.leak != "orifice")
     scale, sheet = leak_scale(config), sheet_of(config, settings.law is not None)
+    rig = np.empty(0, np.float32) if settings.law is None else rig_features(config)
     faults[EXTERNAL_LEAK] = np.minimum(scale * faults[EXTERNAL_LEAK], fault_limits(EXTERNAL_LEAK)[1])
     labels[:, 0] = leaks > config.leakage.class_bounds[0]
     acting: Any = ACTING[chunk.acting](task, count, int(seeds[0])) if chunk.acting else controller
@@ -175,13 +176,10 @@ def simulated(
         if changing:  # the run ends with its only window
             begins[:] = steps - size
         features = features_of(cut(signals[kept], begins, size), sheet)
+        features = np.concatenate([features, np.tile(rig, (len(kept), 1))], axis=1)
         felt = np.zeros(len(kept)) if moves is None else moves.felt(kept, begins, size)
         parts.append(LabelledWindows(features, labels[kept], leaks[kept], usual[kept], plain[kept], felt))
-    found = LabelledWindows.joined(parts)
-    if settings.law is not None:
-        rig = np.tile(rig_features(config), (len(found.features), 1))
-        found = found._replace(features=np.concatenate([found.features, rig], axis=1))
-    return found._asdict()
+    return LabelledWindows.joined(parts)._asdict()
 
 
 def _lengths(
@@ -214,7 +212,8 @@ def _task_of(chunk: Chunk, config: TaskConfig, size: int, steps: int, noise: flo
     for name in SENSORS:
         sensors[name]["noise"] *= noise
     duration = steps * config.control_period
-    return OPERATIONS[chunk.row].task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
+    motion = MOTIONS[OPERATIONS[chunk.row].motion]
+    return motion(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
 
 
 def _leaks(generator: np.random.Generator, config: TaskConfig, count: int) -> Floats:

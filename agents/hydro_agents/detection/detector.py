@@ -286,10 +286,6 @@ class Reading(NamedTuple):
             values[chosen] = new
         return Reading._make(copies)
 
-    def among(self, chosen: Indices, count: int, why: Why) -> "Reading":
-        """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""
-        return Reading.of(np.full(count, np.nan), why=why).replaced(chosen, self)
-
 
 class Detector(Protocol):
     """Anything that reads windows of measured signals.

@@ -37,7 +37,7 @@ class DisturbanceKind(NamedTuple):
     shape: Callable[[Floats, float, float], Floats]  # from time (T,), s; start, s; time of the kind, s
     size: Span
     time: Span  # s: period, duration, or time constant
-    signed: bool = False
+    signs: tuple[float, ...] = (1.0,)  # of the size
 
 
 def swing(time: Floats, start: float, period: float) -> Floats:
@@ -55,14 +55,15 @@ def step(time: Floats, start: float, constant: float) -> Floats:
     return np.where(time < start, 0.0, 1.0 - np.exp(-np.maximum(time - start, 0.0) / constant))
 
 
+BOTH = (-1.0, 1.0)
 DISTURBANCES = {
     "supply swings": DisturbanceKind(SUPPLY, swing, (0.007, 0.1), (0.3, 8.0)),
-    "supply sags": DisturbanceKind(SUPPLY, ramp, (-0.3, -0.03), (1.0, 8.0)),
-    "supply steps": DisturbanceKind(SUPPLY, step, (0.02, 0.2), (0.01, 0.3), True),
+    "supply sags": DisturbanceKind(SUPPLY, ramp, (0.03, 0.3), (1.0, 8.0), (-1.0,)),
+    "supply steps": DisturbanceKind(SUPPLY, step, (0.02, 0.2), (0.01, 0.3), BOTH),
     "pump ripple": DisturbanceKind(SUPPLY, swing, (0.007, 0.05), (0.004, 0.1)),
     "tank swings": DisturbanceKind(TANK, swing, (0.4e5, 2e5), (0.3, 8.0)),
-    "pressure a drifts": DisturbanceKind(PRESSURE_A, ramp, (1.5e5, 10e5), (1.0, 8.0), True),
-    "pressure b drifts": DisturbanceKind(PRESSURE_B, ramp, (1.5e5, 10e5), (1.0, 8.0), True),
+    "pressure a drifts": DisturbanceKind(PRESSURE_A, ramp, (1.5e5, 10e5), (1.0, 8.0), BOTH),
+    "pressure b drifts": DisturbanceKind(PRESSURE_B, ramp, (1.5e5, 10e5), (1.0, 8.0), BOTH),
 }
 """Kinds of disturbance by name."""
 
@@ -89,10 +90,7 @@ def drawn(generator: np.random.Generator, kinds: NDArray[np.str_], steps: int, p
     course = np.zeros((len(kinds), len(NOTICEABLE), steps))
     for axis, name in enumerate(kinds):
         kind = DISTURBANCES[name]
-        low, high = sorted(np.abs(kind.size))
-        size = np.sign(kind.size[0]) * np.exp(generator.uniform(np.log(low), np.log(high)))
-        if kind.signed:
-            size *= generator.choice((-1.0, 1.0))
+        size = np.exp(generator.uniform(*np.log(kind.size))) * generator.choice(kind.signs)
         start = generator.uniform(-0.5, 0.9) * time[-1]
         course[axis, kind.row] = size * kind.shape(time, start, float(np.exp(generator.uniform(*np.log(kind.time)))))
     ripple = kinds == "pump ripple"  # an accumulator on the way to the valve would damp it
@@ -103,21 +101,22 @@ class Disturbed:
     """A controller, on axes whose supply and return line move."""
 
     def __init__(self, controller: Controller, disturbances: Disturbances) -> None:
-        self.controller, self.disturbances, self._step = controller, disturbances, 0
+        self.controller, self.disturbances = controller, disturbances
 
     def begin(self, axes: Axes) -> None:
         """Note the undisturbed pressures of the axes whose episodes begin."""
         self._axes, self._step = axes, 0
-        self._start = axes.coefficient[:, [_RELIEF, _TANK]].copy(), axes.state[:, _SUPPLY].copy()
+        self._relief, self._tank = axes.coefficient[:, [_RELIEF, _TANK]].T.copy()
+        self._supply = axes.state[:, _SUPPLY].copy()
         if isinstance(self.controller, TrueStateController):
             self.controller.begin(axes)
 
     def predict(self, observation: Any, *memory: Any, **named: Any) -> tuple[Singles, Any]:
         """Commands of the controller; the pressures of this control period are set before it."""
         course, direct = self.disturbances.course[:, :, self._step], self.disturbances.direct
-        (relief, tank), supply = self._start[0].T, self._start[1]
-        self._axes.coefficient[:, _RELIEF] = relief * (1.0 + course[:, SUPPLY])
-        self._axes.coefficient[:, _TANK] = tank + course[:, TANK]
-        self._axes.state[direct, _SUPPLY] = (supply * (1.0 + course[:, SUPPLY]))[direct]
+        supply = 1.0 + course[:, SUPPLY]
+        self._axes.coefficient[:, _RELIEF] = self._relief * supply
+        self._axes.coefficient[:, _TANK] = self._tank + course[:, TANK]
+        self._axes.state[direct, _SUPPLY] = (self._supply * supply)[direct]
         self._step += 1
         return self.controller.predict(observation, *memory, **named)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch
+from hydro_agents.controllers.base import Observation, as_batch
 from hydro_agents.detection.damaged_signals import stuck_sensors
 from hydro_agents.detection.detector import SIGNALS, MeasuredColumns
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL, features_of
@@ -86,11 +86,6 @@ class HeadSettings(Group):
     def law(self) -> ByName | None:
         """The law of the rigs of the training; ``None``: it has served one rig."""
         return self.training.get("settings", {}).get("law")
-
-    @property
-    def layout(self) -> ObservationLayout:
-        """The observations that the head reads."""
-        return ObservationLayout.of(self.task)
 
 
 def check_sensors(config: TaskConfig, needed: Sequence[str] = SENSORS) -> None:

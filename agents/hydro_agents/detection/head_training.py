@@ -50,17 +50,17 @@ def make_network(width: int, inputs: int = len(FEATURES), dropout: float = 0.0) 
     sizes = (inputs, width, width // 2, OUTPUTS)
     layers = []
     for layer in range(LAYERS - 1):
-        layers += [nn.Linear(sizes[layer], sizes[layer + 1]), nn.ReLU()]
-        if dropout:
-            layers.append(nn.Dropout(dropout))
+        layers += [nn.Linear(sizes[layer], sizes[layer + 1]), nn.ReLU(), nn.Dropout(dropout)]
     return nn.Sequential(*layers, nn.Linear(sizes[-2], sizes[-1]))
 
 
 def network_tensors(network: nn.Sequential) -> Arrays:
     """Weights and biases of a network, under the names of a head's tensors."""
-    linear = [layer for layer in network if isinstance(layer, nn.Linear)]
-    tensors = {f"weight_{number}": layer.weight.detach().numpy().copy() for number, layer in enumerate(linear)}
-    return tensors | {f"bias_{number}": layer.bias.detach().numpy().copy() for number, layer in enumerate(linear)}
+    tensors = {}
+    for number, layer in enumerate(layer for layer in network if isinstance(layer, nn.Linear)):
+        for name, values in layer.named_parameters():
+            tensors[f"{name}_{number}"] = values.detach().numpy().copy()
+    return tensors
 
 
 def train_head(

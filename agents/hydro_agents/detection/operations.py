@@ -135,11 +135,6 @@ def _swept_sine(axes: _Unseen, error: Floats) -> Floats:
     return 0.2 * error + size * np.sin(2.0 * np.pi * (1.0 + 0.5 * rate * time) * time)
 
 
-def ordinary(config: TaskConfig) -> TaskConfig:
-    """The task as it is."""
-    return config
-
-
 def slow(config: TaskConfig) -> TaskConfig:
     """The task with references that are slower by the factor :data:`SLOWER`."""
     r = config.references
@@ -180,7 +175,7 @@ ACTING: dict[str, Make] = {
 """Controllers of the axes, by name."""
 
 MOTIONS: dict[str, Change] = {
-    "ordinary": ordinary,  # all kinds of reference
+    "ordinary": lambda config: config,  # all kinds of reference
     "slow": slow,
     "standing still": at_rest,
     "changing loads": loaded,
@@ -189,25 +184,25 @@ MOTIONS: dict[str, Change] = {
 
 
 class OperationShare(NamedTuple):
-    """A part of the training data: its share, the task of the axes, and their manner of operation."""
+    """A part of the training data: its share, the motion of the axes, and their manner of operation."""
 
     share: float
-    task: Change
+    motion: str  # of MOTIONS
     manner: str = ""  # of ACTING; default: the controllers of the study
 
 
 OPERATIONS = (
-    OperationShare(0.23, ordinary),
-    OperationShare(0.08, slow),
-    OperationShare(0.11, at_rest),
-    OperationShare(0.06, loaded),
-    OperationShare(0.08, ordinary, "proportional"),
-    OperationShare(0.07, at_rest, "proportional"),
-    OperationShare(0.10, ordinary, "by hand"),
-    OperationShare(0.08, ordinary, "chattering"),
-    OperationShare(0.03, at_rest, "chattering"),
-    OperationShare(0.05, ordinary, "dithering"),
-    OperationShare(0.03, at_rest, "dithering"),
-    OperationShare(0.08, ordinary, "open loop"),
+    OperationShare(0.23, "ordinary"),
+    OperationShare(0.08, "slow"),
+    OperationShare(0.11, "standing still"),
+    OperationShare(0.06, "changing loads"),
+    OperationShare(0.08, "ordinary", "proportional"),
+    OperationShare(0.07, "standing still", "proportional"),
+    OperationShare(0.10, "ordinary", "by hand"),
+    OperationShare(0.08, "ordinary", "chattering"),
+    OperationShare(0.03, "standing still", "chattering"),
+    OperationShare(0.05, "ordinary", "dithering"),
+    OperationShare(0.03, "standing still", "dithering"),
+    OperationShare(0.08, "ordinary", "open loop"),
 )
 """The mixture of the training data."""

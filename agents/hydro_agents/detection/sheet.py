@@ -117,13 +117,14 @@ def sheet_of(config: TaskConfig, for_any_axis: bool = False) -> Sheet:
     plant, sensors = config.plant, config.sensors
     c = plant_coefficients(plant)
     numbers = settings_of(config)[0]
-    mean, spread = _priors(config, LAP if for_any_axis else KNOWN_LAP)
-    full_flow = c.edge_gain * math.sqrt(0.5 * mean.supply_pressure)
+    priors = _priors(config, LAP if for_any_axis else KNOWN_LAP)
+    mean, spread = np.array(priors).T.copy()
+    full_flow = c.edge_gain * math.sqrt(0.5 * priors.supply_pressure[0])
     travel = full_flow * config.control_period / min(c.area_a, c.area_b)
     return Sheet(
         coefficients=np.array(c),
-        mean=np.array(mean),
-        spread=np.array(spread),
+        mean=mean,
+        spread=spread,
         leak_unit=LEAK_UNIT * leak_scale(config),
         transition=_candidate_valves(config),
         sensor_low=np.array([getattr(sensors, name).low for name in SENSORS]),
@@ -153,8 +154,8 @@ def _middle_and_half(config: TaskConfig, path: str) -> tuple[float, float]:
     return 0.5 * (low + high), 0.5 * (high - low)
 
 
-def _priors(config: TaskConfig, lap: float) -> tuple[Unknowns, Unknowns]:
-    """Means and standard deviations of the priors; that of the lap is given."""
+def _priors(config: TaskConfig, lap: float) -> Unknowns:
+    """Mean and standard deviation of each prior; that of the lap is given."""
     plant, sensors = config.plant, config.sensors
     c = plant_coefficients(plant)
     supply, supply_range = _middle_and_half(config, "supply.pressure")
@@ -162,7 +163,7 @@ def _priors(config: TaskConfig, lap: float) -> tuple[Unknowns, Unknowns]:
     excess = 0.0
     if c.supply_dynamics > 0.0 and c.relief_slope > 0.0:
         excess = 0.6 * c.pump_flow / c.relief_slope
-    priors = Unknowns(
+    return Unknowns(
         flow_gain=(1.0, 0.2),
         supply_pressure=(supply, 0.7 * supply_range + 0.1 * supply),
         supply_excess=(excess, 0.5 * excess + 1e3),
@@ -178,7 +179,6 @@ def _priors(config: TaskConfig, lap: float) -> tuple[Unknowns, Unknowns]:
         tank_pressure=(plant.supply.tank_pressure, 1e5),
         overlap=(plant.valve.overlap, lap),
     )
-    return Unknowns(*(mean for mean, _ in priors)), Unknowns(*(spread for _, spread in priors))
 
 
 def _candidate_valves(config: TaskConfig) -> Floats:

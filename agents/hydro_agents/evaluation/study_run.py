@@ -189,7 +189,7 @@ def tune_controller(
         write_text(file, gains_text(best.gains))
 
     display.update(f"tune {name}", 0, budget.evaluations)
-    search = Search(budget.evaluations, seed, budget.cases, start)
+    search = Search(start, budget.evaluations, seed, budget.cases)
     tuned = tune(entry.kind, [study.task], search, folder, report)
     made = CONTROLLERS[entry.kind][0](tuned.gains, study.task)
     found = counted_at_rest(made, study.task, STANDSTILLS, STANDSTILL_CASES)

@@ -104,12 +104,6 @@ class LSTM(NamedTuple):
         output = _sigmoid(shown) * np.tanh(cells)
         return output, np.concatenate([output, cells], axis=1)
 
-    @classmethod
-    def from_torch(cls, layer: Any) -> "LSTM":
-        """The weights of a ``torch.nn.LSTM`` with one layer."""
-        bias = _array(layer.bias_ih_l0) + _array(layer.bias_hh_l0)
-        return cls(_array(layer.weight_ih_l0), _array(layer.weight_hh_l0), bias)
-
 
 def _sigmoid(x: Singles) -> Singles:
     half = np.float32(0.5)
@@ -212,7 +206,9 @@ class PolicyController:
                 layers.append((_array(module.weight), _array(module.bias)))
         lstm, inputs = None, layers[0][0].shape[1]
         if hasattr(policy, "lstm_actor"):
-            lstm = LSTM.from_torch(policy.lstm_actor)
+            layer = policy.lstm_actor
+            bias = _array(layer.bias_ih_l0) + _array(layer.bias_hh_l0)
+            lstm = LSTM(_array(layer.weight_ih_l0), _array(layer.weight_hh_l0), bias)
             inputs = lstm.inputs.shape[1]
         if inputs != features.size or len(layers[-1][1]) != 1:
             must = "those of the observation, or of features of AxisVecEnv"
@@ -264,9 +260,15 @@ class PolicyController:
             "activation": self.activation,
             "output": "linear",
         }
+        tensors = {}
+        for number, (weight, bias) in enumerate(self.layers):
+            tensors[f"layer{number}.weight"], tensors[f"layer{number}.bias"] = weight, bias
+        if self.features.normalisation is not None:
+            tensors |= dict(zip(_NORMALISATION, self.features.normalisation, strict=False))
         if self.lstm is not None:
             settings["lstm_cells"] = self.lstm.recurrent.shape[1]
-        tensors = _named(self.layers, self.features.normalisation, self.lstm)
+            parts = ("lstm.inputs", "lstm.recurrent", "lstm.bias")
+            tensors |= dict(zip(parts, self.lstm, strict=True))
         return save_weights(path, KIND, tensors, {**settings, "training": self.training})
 
     @classmethod
@@ -330,14 +332,3 @@ def _features_of(model: Any) -> PolicyFeatures:
 
 def _array(tensor: Any) -> Singles:
     return tensor.detach().cpu().numpy().copy()
-
-
-def _named(layers: Layers, normalisation: "NamedTuple | None", lstm: LSTM | None) -> dict[str, Singles]:
-    named = {}
-    for number, (weight, bias) in enumerate(layers):
-        named[f"layer{number}.weight"], named[f"layer{number}.bias"] = weight, bias
-    if normalisation is not None:
-        named |= dict(zip(_NORMALISATION, normalisation, strict=False))
-    if lstm is not None:
-        named["lstm.inputs"], named["lstm.recurrent"], named["lstm.bias"] = lstm
-    return named

@@ -47,28 +47,25 @@ class ProgressFile(KVWriter):
     """``progress.csv``: one row per update, written immediately; a resumed training continues the file.
 
     Rows after the ``steps`` of the checkpoint are dropped: that training was killed before its next checkpoint.
-
-    Raises:
-        ConfigurationError: the file cannot be written.
     """
 
     def __init__(self, path: Path, steps: int = 0) -> None:
         self._path = path
         self._rows = read_progress(path, steps) if steps > 0 and path.exists() else []
-        self._write()
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        """Append a row."""
+        """Append a row.
+
+        Raises:
+            ConfigurationError: the file cannot be written.
+        """
         values = filter_excluded_keys(key_values, key_excluded, "csv")
         self._rows.append({STEPS: step, **{key: float(values[key]) for key in sorted(values) if key != STEPS}})
-        self._write()
+        table = pd.DataFrame(self._rows).convert_dtypes()  # whole numbers without a decimal point
+        write_text(self._path, table.to_csv(index=False, lineterminator="\n"))
 
     def close(self) -> None:
         """Do nothing: the file is closed after each row."""
-
-    def _write(self) -> None:
-        table = pd.DataFrame(self._rows).convert_dtypes()  # whole numbers without a decimal point
-        write_text(self._path, table.to_csv(index=False, lineterminator="\n") if self._rows else "")
 
 
 def read_progress(path: str | Path, steps: float = math.inf) -> list[dict[str, float]]:
@@ -87,11 +84,7 @@ def read_progress(path: str | Path, steps: float = math.inf) -> list[dict[str, f
 
 
 def training_logger(folder: str | Path | None, steps: int = 0) -> Logger:
-    """A logger for ``model.set_logger`` that writes to a folder, or nowhere; ``steps`` of a resumed training are done.
-
-    Raises:
-        ConfigurationError: ``progress.csv`` cannot be written.
-    """
+    """A logger for ``model.set_logger`` that writes to a folder, or nowhere, after the ``steps`` that are done."""
     writers: list[KVWriter] = []
     if folder is not None:
         writers.append(ProgressFile(Path(folder) / PROGRESS_FILE, steps))
@@ -141,17 +134,14 @@ class TrainingCallback(BaseCallback):
         """Duration of training, all sessions together."""
         return self.seconds_before + time.monotonic() - self._began
 
-    def _on_rollout_start(self) -> None:
-        self._between_rollouts()
-
     def _on_step(self) -> bool:
         return True
 
     def _on_training_end(self) -> None:
-        self._between_rollouts()
+        self._on_rollout_start()
         self._checkpoints.write()
 
-    def _between_rollouts(self) -> None:
+    def _on_rollout_start(self) -> None:
         """Log the last rollout and its update, set the exploration of the next, and copy the state at its start.
 
         A rollout and its update share one exploration; otherwise the ratio of PPO would not begin at 1.
@@ -197,7 +187,6 @@ class TrainingCallback(BaseCallback):
             "mean_error_mm": mean,
             "worst_error_mm": worst,
             "failures": failures,
-            "base_mean_error_mm": self._corrected_error,
             "error_to_corrected": mean / self._corrected_error,
         }
 

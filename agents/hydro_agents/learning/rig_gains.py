@@ -102,7 +102,7 @@ def gains_by_search(kind: str, config: TaskConfig) -> Group:
     print(f"hydro: {kind}: a simulation of the rig searches gains; about a minute", file=sys.stderr)
     chosen = chosen_gains(kind, config)
     found = [gain_sets(kind, config)[0], chosen]
-    search = Search(evaluations=NEARBY, cases=SEARCH_CASES, start=chosen, spread=NEAR[kind], separable=True)
+    search = Search(chosen, NEARBY, cases=SEARCH_CASES, spread=NEAR[kind], separable=True)
     tune(kind, [config], search, progress=lambda best: found.append(best.gains))
     leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
     errors = np.zeros(len(leaders))

@@ -20,7 +20,6 @@ from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, run_here
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, task_config
 from hydro_env.files import Group, validate
-from hydro_env.mistakes import unknown
 from hydro_env.types import Floats
 
 EVALUATIONS = 2800
@@ -38,7 +37,7 @@ class Space:
         self._width = high - self._low
 
     def _scaled(self, values: Floats) -> Floats:
-        return np.where(self._logarithmic, np.log(np.where(self._logarithmic, values, 1.0)), values)
+        return np.log(values, out=values.copy(), where=self._logarithmic)
 
     def point(self, gains: Group) -> Floats:
         """Gains as a point of the cube, (n,); a gain outside its search range is clipped to it."""
@@ -48,7 +47,7 @@ class Space:
     def values(self, point: Floats) -> dict[str, float]:
         """The gains at a point of the cube, by name."""
         scaled = self._low + self._width * point
-        values = np.where(self._logarithmic, np.exp(np.where(self._logarithmic, scaled, 0.0)), scaled)
+        values = np.exp(scaled, out=scaled.copy(), where=self._logarithmic)
         return dict(zip(self.names, values.tolist(), strict=True))
 
 
@@ -63,11 +62,11 @@ class Tuned(NamedTuple):
 class Search(NamedTuple):
     """How a search goes."""
 
-    evaluations: int = EVALUATIONS  # number of candidates, rounded up to whole generations
+    start: Group  # what is not searched keeps these values
+    evaluations: int  # number of candidates, rounded up to whole generations
     seed: int = 0  # of the optimiser and of the training cases
 
     cases: int = 42  # training cases of each candidate; a multiple of leak levels × families gives each the same number
-    start: Group | None = None  # default: the defaults of the class; what is not searched keeps these values
     population: int = 14  # candidates per generation
     spread: float = 0.2  # of the first generation, in parts of the search ranges
 
@@ -94,17 +93,13 @@ def tune(
         progress: called after every generation with the best candidate so far.
 
     Raises:
-        ConfigurationError: the kind is unknown, or no candidate can control the axis.
+        ConfigurationError: no candidate can control the axis.
     """
-    if kind not in CONTROLLERS:
-        raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}")
-    group = CONTROLLERS[kind][1]
     from cmaes import CMA, SepCMA  # loads scipy.stats
 
-    start = search.start or group()
-    space = Space(group, tasks[0].plant)
+    space = Space(type(search.start), tasks[0].plant)
     optimiser = (SepCMA if search.separable else CMA)(
-        space.point(start),
+        space.point(search.start),
         search.spread,
         bounds=np.tile([0.0, 1.0], (len(space.names), 1)),
         seed=search.seed,
@@ -113,7 +108,7 @@ def tune(
     best = None
     for generation in range(-(-search.evaluations // search.population)):
         points = [optimiser.ask() for _ in range(search.population)]
-        gains = [_gains(start, space.values(point), search.separable) for point in points]
+        gains = [_gains(search.start, space.values(point), search.separable) for point in points]
         job = Job(costs_of_sets, kind, (gains, tasks, search.cases, search.seed), kind)
         costs = run_here(job, folder)["costs"].tolist()
         optimiser.tell(list(zip(points, costs, strict=True)))
@@ -157,9 +152,8 @@ def costs_of_sets(
         trials.append((task_config(task, episode_duration=REST), resting_cases(number), JUDGED))
     count = min(effective_n_jobs(None), len(gains))
     calls = []
-    for part in range(count):
-        own = gains[len(gains) * part // count : len(gains) * (part + 1) // count]
-        calls.append(delayed(_costs)(kind, own, trials))
+    for part in np.array_split(np.arange(len(gains)), count):
+        calls.append(delayed(_costs)(kind, [gains[place] for place in part], trials))
     # Sums come after all parts are joined: their last bit depends on the number of candidates.
     costs = [np.concatenate(rows) for rows in zip(*Parallel(n_jobs=count)(calls), strict=True)]
     found = []

@@ -125,7 +125,8 @@ class EstimatorDetector:
             value[simple[better]] = plain.value(LEAKAGE)[better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[better]
         reading = _reading(worn, excess, value, deviation, still, task)
-        return reading.among(chosen, len(windows), Why.NO_COMMANDS), worn
+        unread = Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS)
+        return unread.replaced(chosen, reading), worn
 
     def _estimate(
         self,

@@ -6,6 +6,7 @@ the network is traced from its NumPy code.
 
 import numpy as np
 
+from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.detection.balance import fit, fit_balance
 from hydro_agents.detection.damaged_signals import bounds_of, find_stuck, repair
 from hydro_agents.detection.detector import SIGNALS, MeasuredColumns
@@ -127,6 +128,7 @@ def head_vectors(head: LeakageHead) -> tuple[Floats, Floats]:
     episode some samples are lost, and a sensor sticks near the end.
     """
     config, count = head.settings.task, len(VECTOR_LEAKS)
+    layout = ObservationLayout.of(config)
     length = head.settings.window + (ESTIMATES - 1) * head.interval
     duration = max(config.episode_duration, (length + 1) * config.control_period)
     env = ServoHydraulicVectorEnv(count, config.model_copy(update={"episode_duration": duration}), info=False)
@@ -141,7 +143,7 @@ def head_vectors(head: LeakageHead) -> tuple[Floats, Floats]:
             observed[-1, head.columns[1]] = samples[-1, k - 1, 1] / head.scale[1]
         samples[:, k] = MeasuredColumns.of(config).si(observed[:, head.columns, None])[:, :, 0]
         answers[:, k], state = head.predict(observed, state)
-        position = head.settings.layout.si(observation, "position")
+        position = layout.si(observation, "position")
         command = 0.97 * command + 0.03 * generator.uniform(-1.0, 1.0, count)
         observation, *_ = env.step((command - 10.0 * position)[:, None].astype(np.float32))
     env.close()

@@ -191,11 +191,11 @@ class AxisWatch:
     def _summed_up(self, reading: Reading, leak: Leak, activity: Any) -> tuple[Condition, str]:
         """The condition by the alarm and by the causes of the last looks."""
         size = reading._replace(score=reading.score / self._scale, sigma=reading.sigma / self._scale)
-        alarm, self.memory = self._alarm.update(size, activity, self.memory)
+        self.memory = self._alarm.update(size, activity, self.memory)
         named = Cause(int(reading.cause[0]))
         if reading.answers[0]:
             self._causes.append("" if named is Cause.NONE else str(reading.fault[0]) or named.in_full)
-        if alarm.alarm[0]:
+        if self.memory.alarm[0]:
             too_much = leak.low > self.axis.limit
             return Condition.OUT if too_much else Condition.MAINTENANCE, Cause.INTERNAL_LEAK.in_full
         for cause in set(self._causes) - {""}:

@@ -20,7 +20,7 @@ from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
 
 SHORT = TaskConfig(episode_duration=0.3)
-SMALL = Search(evaluations=6, cases=7, population=6)
+SMALL = Search(PIDGains(), evaluations=6, cases=7, population=6)
 
 
 @pytest.fixture(autouse=True)
