@@ -29,7 +29,7 @@ from hydro_agents.rigs.rig_file import answers_from, new_rig, written_answers
 from hydro_agents.running.seeds import HIDDEN_RIGS, THRESHOLDS
 from hydro_agents.running.text import markdown
 from hydro_env import ConfigurationError, HydroError, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.files import read_yaml, write_text
+from hydro_env.files import write_text
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import TRIES, drawn_figures
@@ -91,7 +91,7 @@ def hidden_rig(folder: Path, seed: int, number: int) -> HiddenRig:
     recording, rig, kept = (folder / f"{seed}{end}" for end in (".csv", ".yaml", ".json"))
     if not kept.exists():
         texts, config = _drawn(folder / f"{seed}-true.yaml", seed, kind)
-        moving = stable_start(config, PIDGains.model_validate(read_yaml(usual_gains("pid"))))
+        moving = stable_start(config, PIDGains.model_validate(usual_gains("pid")))
         record_axis(recording, config, make_controller("pid", config, moving.model_dump()), seed)
         given = dict(texts)
         if kind in CLIPPED:

@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks import command_line
 from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.learning.loading import usual_gains
-from hydro_agents.learning.rig_gains import costs_on_rig
-from hydro_agents.learning.tuning import Search, Tuned, tune
+from hydro_agents.learning.rig_gains import CHOICE_CASES
+from hydro_agents.learning.tuning import Search, Tuned, costs_of_sets, tune
 from hydro_agents.running.seeds import RIGS
 from hydro_env import TaskConfig
 from hydro_env.files import read_yaml, write_yaml
@@ -34,7 +34,7 @@ SETS, SET_RIGS, JUDGING_RIGS = 8, 1100, 1000  # sets beside the default; first t
 def tune_for_any_rig(folder: Path, evaluations: int) -> None:
     """Tune one set of gains over the training rigs, from those of the paper's rig; the folder is the checkpoint."""
     tasks = [drawn_task(task_config("mixed_leaks"), LAW, seed) for seed in RIGS.take(TRAINING_RIGS)]
-    start = FlowLinearisingGains(**read_yaml(usual_gains(KIND)))
+    start = FlowLinearisingGains(**usual_gains(KIND))
 
     def progress(best: Tuned) -> None:
         write_yaml(folder / "gains.yaml", best.gains.model_dump(mode="json"))
@@ -55,7 +55,7 @@ def sets_for_any_rig(folder: Path, rigs: int, evaluations: int) -> None:
     for number, task in enumerate(training(SET_RIGS, rigs)):
         sets.append(tuned_for(task, folder / f"set_{number:02}", evaluations, CASES))
         print(f"set {number + 1} of {rigs}", flush=True)
-    costs = [costs_on_rig(KIND, sets, task) for task in training(JUDGING_RIGS, 2 * rigs)]
+    costs = [costs_of_sets(KIND, sets, [task], CHOICE_CASES, 0)["costs"] for task in training(JUDGING_RIGS, 2 * rigs)]
     errors = np.log(costs)
     chosen = [0]
     while len(chosen) <= min(SETS, rigs):

@@ -13,7 +13,6 @@ from hydro_agents.controllers.motion_filter import LEAK
 from hydro_agents.learning.loading import usual_gains
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
-from hydro_env.files import read_yaml
 from hydro_env.types import Floats
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
@@ -22,7 +21,7 @@ class ToldLeak(FlowLinearising):
     """Flow linearisation with the gains of the paper's rig; :func:`~hydro_agents.running.cases.run_cases` runs it."""
 
     def __init__(self, config: TaskConfig) -> None:
-        super().__init__(FlowLinearisingGains.model_validate(read_yaml(usual_gains("flow_linearising"))), config)
+        super().__init__(FlowLinearisingGains.model_validate(usual_gains("flow_linearising")), config)
         self._axes: Axes | None = None
 
     def begin(self, axes: Axes) -> None:

@@ -28,8 +28,6 @@ LABEL_OF_FAULT = {
     name: LABELS.index(cause.word.replace(" ", "_")) for name, cause in CAUSE_OF_FAULT.items() if name not in UNSEEN
 }
 
-TRAINED_FAULTS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")  # a stuck one needs no network
-
 CHANGING = ("onset", "growth")
 
 CHUNK, CHUNK_OF_RIG = 256, 24  # largest number of axes that are simulated together; the same for each drawn rig
@@ -233,7 +231,8 @@ def draw_faults(
     sizes = {name: np.zeros(count) for name in FAULTS}
     # Beside a leak from chamber b, a valve without underlap holds no weight: it lets chamber a run empty.
     hangs = config.plant.load.external_force != 0.0
-    kinds = [kind for kind in TRAINED_FAULTS if not (hangs and kind == EXTERNAL_LEAK)]
+    untrained = {"sensor_freeze", EXTERNAL_LEAK} if hangs else {"sensor_freeze"}  # a stuck sensor needs no network
+    kinds = [kind for kind in FAULT_KINDS if kind not in untrained]
     fitted = [name for name in SENSORS if getattr(config.sensors, name).fitted]
     labels = np.zeros((count, len(LABELS)), dtype=np.float32)
     for axis in np.flatnonzero(generator.random(count) < share):

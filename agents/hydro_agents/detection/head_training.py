@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from hydro_agents.detection.dataset import LabelledWindows, training_jobs
 from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import (
-    LAYERS,
     OUTPUTS,
     OUTSIDE,
     SMALLEST_FLOW,
@@ -47,11 +47,10 @@ Progress = Callable[[str, int, int, str], None]  # of phase, amount done, total 
 
 def make_network(width: int, inputs: int = len(FEATURES), dropout: float = 0.0) -> nn.Sequential:
     """The network: from features to the outputs of a head."""
-    sizes = (inputs, width, width // 2, OUTPUTS)
-    layers = []
-    for layer in range(LAYERS - 1):
-        layers += [nn.Linear(sizes[layer], sizes[layer + 1]), nn.ReLU(), nn.Dropout(dropout)]
-    return nn.Sequential(*layers, nn.Linear(sizes[-2], sizes[-1]))
+    layers: list[nn.Module] = []
+    for before, after in pairwise((inputs, width, width // 2, OUTPUTS)):
+        layers += [nn.Linear(before, after), nn.ReLU(), nn.Dropout(dropout)]
+    return nn.Sequential(*layers[:-2])
 
 
 def network_tensors(network: nn.Sequential) -> Arrays:

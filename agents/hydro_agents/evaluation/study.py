@@ -310,5 +310,5 @@ def _begun(entry: ControllerEntry) -> ControllerEntry:
     if entry.kind not in CONTROLLERS:
         return entry
     gains = CONTROLLERS[entry.kind][1]
-    usual = entry.kind != "pid" and entry.settings == gains.model_validate(read_yaml(usual_gains(entry.kind)))
+    usual = entry.kind != "pid" and entry.settings == gains.model_validate(usual_gains(entry.kind))
     return entry.changed(tune=entry.tune or TuningSettings(), settings=gains() if usual else entry.settings)

@@ -22,6 +22,7 @@ from hydro_env.folders import config_folder
 from hydro_env.mistakes import unknown
 from hydro_env.task.law import RigLaw
 from hydro_env.task.paces import outside_law
+from hydro_env.types import ByName
 
 if TYPE_CHECKING:
     from hydro_agents.learning.trainers import Trainer
@@ -61,7 +62,7 @@ def shipped(kind: str, config: TaskConfig, gains: GainsFor = chosen_gains) -> Co
         return load_policy(shipped_weights(SHIPPED_WEIGHTS[kind], config), config, gains)
     match origin_of_gains(kind, config):
         case GainsOrigin.TUNED:
-            return make_controller(kind, config, read_yaml(usual_gains(kind)))
+            return make_controller(kind, config, usual_gains(kind))
         case GainsOrigin.RIG:
             return make_controller(kind, config, gains(kind, config).model_dump())
     return make_controller(kind, config)
@@ -150,9 +151,9 @@ def origin_of_gains(kind: str, config: TaskConfig) -> GainsOrigin:
     return GainsOrigin.RIG if kind == "pid" else GainsOrigin.ANY_RIG
 
 
-def usual_gains(kind: str) -> Path:
-    """The file of a classical controller's gains for the paper's rig."""
-    return config_folder() / "agents" / f"{kind}.yaml"
+def usual_gains(kind: str) -> ByName:
+    """A classical controller's gains for the paper's rig."""
+    return read_yaml(config_folder() / "agents" / f"{kind}.yaml")
 
 
 def ships(kind: str, gains: Group) -> bool:

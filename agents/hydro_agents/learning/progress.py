@@ -17,6 +17,7 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
 
+from hydro_agents.controllers.base import Controller
 from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.checkpoint import Checkpoints
 from hydro_agents.learning.features import PolicyFeatures
@@ -24,10 +25,11 @@ from hydro_agents.learning.imitation import ACTOR
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.vec_env import RigsVecEnv
-from hydro_agents.running.cases import family_errors, validation_errors
+from hydro_agents.running.cases import family_errors
 from hydro_env import TaskConfig, task_config
 from hydro_env.files import write_text
 from hydro_env.task.drawn_rigs import rig_tasks
+from hydro_env.types import Floats
 
 PROGRESS_FILE = "progress.csv"
 STEPS = "time/total_timesteps"
@@ -126,8 +128,7 @@ class TrainingCallback(BaseCallback):
         self._began = time.monotonic()
         self._logged = -1  # steps; -1: not begun
 
-        self._corrected_error = math.nan  # mm, on the validation plants; computed once
-        self._rigs: list[tuple[AnyAxisFeatures, dict[str, float]]] = []  # for validation, with the errors in m
+        self._rigs: list[tuple[PolicyFeatures, Floats]] = []  # for validation, with the errors of what is corrected
 
     @property
     def seconds(self) -> float:
@@ -177,29 +178,28 @@ class TrainingCallback(BaseCallback):
         self.logger.dump(steps)
 
     def _validation(self) -> dict[str, float]:
-        if isinstance(self._features, AnyAxisFeatures):
-            return self._validation_on_rigs(self._features)
-        base = self._features.base
-        if base is not None and math.isnan(self._corrected_error):
-            self._corrected_error = validation_errors(self._config, base)[0]
-        mean, worst, failures = validation_errors(self._config, PolicyController.from_sb3(self.model))
+        """Error on training plants of the rig, or of validation rigs, and relative to the corrected controller's.
+
+        Where the policy corrects none, that is the untuned one's on drawn rigs, and NaN on one rig.
+        """
+        if not self._rigs:
+            own = self._features
+            if isinstance(own, AnyAxisFeatures):
+                law = {"split": "validation", "count": VALIDATION_RIGS}
+                moved = [own.moved_to(task) for task in rig_tasks(task_config(self._config, law=law))]
+                self._rigs = [(each, _errors(each, each.leader)) for each in moved]
+            else:
+                self._rigs = [(own, np.array(math.nan) if own.base is None else _errors(own, own.base))]
+        errors = [_errors(own, PolicyController.from_sb3(self.model, own)) for own, _ in self._rigs]
+        ratios = [np.exp(np.mean(np.log(now / base))) for now, (_, base) in zip(errors, self._rigs, strict=True)]
         return {
-            "mean_error_mm": mean,
-            "worst_error_mm": worst,
-            "failures": failures,
-            "error_to_corrected": mean / self._corrected_error,
+            "mean_error_mm": 1e3 * float(np.mean(errors)),
+            "error_to_corrected": float(np.median(ratios)),
+            "worst_error_to_corrected": float(max(ratios)),
         }
 
-    def _validation_on_rigs(self, features: AnyAxisFeatures) -> dict[str, float]:
-        """Errors relative to the corrected controller's, or the untuned one's, on validation rigs by families."""
-        if not self._rigs:
-            law = {"split": "validation", "count": VALIDATION_RIGS}
-            for task in rig_tasks(task_config(self._config, law=law)):
-                own = features.moved_to(task)
-                self._rigs.append((own, family_errors(task, own.leader, VALIDATION_PLANTS, sensor_frame=True)))
-        ratios = []
-        for own, wrong in self._rigs:
-            policy = PolicyController.from_sb3(self.model, own)
-            errors = family_errors(own.config, policy, VALIDATION_PLANTS, sensor_frame=True)
-            ratios.append(math.exp(np.mean([math.log(errors[name] / wrong[name]) for name in wrong])))
-        return {"error_to_corrected": float(np.median(ratios)), "worst_error_to_corrected": max(ratios)}
+
+def _errors(features: PolicyFeatures, controller: Controller) -> Floats:
+    """Error of a controller in each family of references, (families,), m, in the frame of the sensor."""
+    found = family_errors(features.config, controller, VALIDATION_PLANTS, sensor_frame=True)
+    return np.array([*found.values()])

@@ -8,8 +8,9 @@ import hashlib
 import math
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,6 @@ from hydro_agents.running.seeds import STANDSTILLS
 from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_folder
-from hydro_env.types import Floats
 
 GainsFor = Callable[[str, TaskConfig], Group]  # of a kind and a task
 
@@ -69,7 +69,7 @@ def chosen_gains(kind: str, config: TaskConfig) -> Group:
     """The set of :func:`gain_sets` that controls the simulated rig of the task best, if clearly so; in seconds."""
     sets = gain_sets(kind, config)
     if len(sets) > 1:
-        errors = costs_on_rig(kind, sets, config)
+        errors = costs_of_sets(kind, sets, [config], CHOICE_CASES, 0)["costs"]
         if min(errors) < CLEARLY * errors[0]:
             return sets[np.argmin(errors)]
     return sets[0]
@@ -106,9 +106,7 @@ def gains_by_search(kind: str, config: TaskConfig) -> Group:
     tune(kind, [config], search, progress=lambda best: found.append(best.gains))
     leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
     errors = np.zeros(len(leaders))
-    judges = neighbours(config)
-    for place, seed in enumerate(TRIALS):
-        judge = judges[place % len(judges)]
+    for judge, seed in zip(cycle(neighbours(config)), TRIALS, strict=False):
         errors += np.log(costs_of_sets(kind, leaders, [judge], TRIAL_CASES, seed)["costs"]) / len(TRIALS)
     for number, gains in enumerate(leaders):
         counts = counted_at_rest(CONTROLLERS[kind][0](gains, config), config, STANDSTILLS, RESTS)
@@ -127,8 +125,3 @@ def neighbours(config: TaskConfig) -> list[TaskConfig]:
         lap = 0.5 * valve.underlap  # of the same flow at the null
         found.append(task_config(config, plant=plant.replace(valve={"underlap": 0.0, "overlap": -lap / (1.0 - lap)})))
     return found
-
-
-def costs_on_rig(kind: str, sets: Sequence[Group], config: TaskConfig) -> Floats:
-    """Costs of some sets of gains on the rig of a task, m, (sets,)."""
-    return costs_of_sets(kind, sets, [config], CHOICE_CASES, 0)["costs"]

@@ -113,11 +113,6 @@ class QuietGains(NamedTuple):
     own: float  # 1/m, of the file's own values
     worst: float  # 1/m, of all of :data:`PLANTS` plants drawn from their ranges
 
-    @property
-    def recommended(self) -> float:
-        """Recommended proportional gain, 1/m: half of what the worst plant bears."""
-        return SHARE_OF_STABLE * self.worst
-
 
 def quiet_gains(task: TaskConfig) -> QuietGains:
     """The largest quiet gains of a rig, with its friction, sampling and latency, a healthy seal and no sensor noise.
@@ -168,7 +163,7 @@ def pids_from_figures(task: TaskConfig) -> list[PIDGains]:
     found = []
     reason = ""
     try:
-        found.append(pid_with_gain(task, quiet_gains(task).recommended))
+        found.append(pid_with_gain(task, SHARE_OF_STABLE * quiet_gains(task).worst))
     except HydroError as error:
         reason = str(error)
     from_figures = pid_from_figures(task)

@@ -11,6 +11,7 @@ from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
 from hydro_agents.learning.stable_gain import (
     DRAWN,
     HEALTHY_LEAK,
+    SHARE_OF_STABLE,
     Weakest,
     beyond_dead_band,
     leaking,
@@ -221,7 +222,7 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
         quiet = quiet_gains(task)
     except HydroError as error:
         return [*rows, ("recommended gain", str(error), "none", "1/m", "no gain")]
-    recommended = quiet.recommended
+    recommended = SHARE_OF_STABLE * quiet.worst
     rows.append(("recommended gain", friction, recommended, "1/m", "recommended gain"))
     for which, gain, weak in (("own values", quiet.own, healthy), ("worst in the ranges", quiet.worst, worst)):
         at, margin = f"recommended gain, {which}", 20.0 * math.log10(gain / recommended)

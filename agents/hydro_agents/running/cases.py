@@ -1,6 +1,5 @@
 """Runs a controller on a list of independent episodes; their trajectories, and its errors on validation plants."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -9,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.running.seeds import LEARNING_CURVE, SCALES
+from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.errors import at, reason
@@ -233,23 +232,6 @@ def _act(
     return np.where(alive[:, None], action, 0.0), memory
 
 
-def _families(config: TaskConfig) -> list[str]:
-    return [name for name, weight in config.references.weights.items() if weight > 0.0]
-
-
-def validation_errors(config: TaskConfig, controller: Controller) -> tuple[float, float, int]:
-    """Mean absolute tracking error over all cases (mm), that of the worst case (mm), and number of failed cases.
-
-    The cases are one plant for each family of references at three leaks: healthy, incipient, and the task's largest.
-    """
-    leakage, families = config.leakage, _families(config)
-    leaks = np.array([math.sqrt(math.prod(leakage.healthy_range)), leakage.class_bounds[1], leakage.faulty_range[1]])
-    seeds = np.array(LEARNING_CURVE.take(len(leaks) * len(families)))
-    run = run_cases(config, controller, Cases(seeds, np.repeat(leaks, len(families)), np.tile(families, len(leaks))))
-    errors = 1e3 * np.abs(run.position - run.reference).mean(axis=1)
-    return float(errors.mean()), float(errors.max()), int((run.failed_at >= 0).sum())
-
-
 def family_errors(
     config: TaskConfig, controller: Controller, plants: int = 16, sensor_frame: bool = False
 ) -> dict[str, float]:
@@ -257,7 +239,7 @@ def family_errors(
 
     The error is that of the true position, or, with ``sensor_frame``, of the position with the bias of its sensor.
     """
-    families = _families(config)
+    families = [name for name, weight in config.references.weights.items() if weight > 0.0]
     seeds = np.tile(np.array(SCALES.take(plants, SCALES.count - plants)), len(families))
     run = run_cases(config, controller, Cases(seeds, families=np.repeat(families, plants)))
     position: Array = run.position

@@ -15,7 +15,6 @@ from hydro_agents.learning import loading
 from hydro_agents.learning.loading import shipped, usual_gains
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import PlantParameters, TaskConfig
-from hydro_env.files import read_yaml
 
 PRESSURES = {"pressure_a": {"fitted": False}, "pressure_b": {"fitted": False}}
 SPOOL = {"spool_position": {"fitted": False}}
@@ -91,7 +90,7 @@ def test_on_another_rig_flow_linearisation_begins_with_its_gains_for_any_rig(tmp
     found = default_study(rig="kovari_2015").controllers["Flow linearisation"]
     assert found.settings == FlowLinearisingGains()
     assert found.tune is not None
-    usual = FlowLinearisingGains(**read_yaml(usual_gains("flow_linearising")))
+    usual = FlowLinearisingGains(**usual_gains("flow_linearising"))
     assert default_study().controllers["Flow linearisation"].settings == usual
     file = tmp_path / "study.yaml"
     file.write_text("controllers: {mine: {kind: flow_linearising, settings: {position_gain: 0.5}}}\n")

@@ -15,10 +15,10 @@ from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_SCALE
 from hydro_agents.learning.loading import load_controller
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import renew_rigs
-from hydro_agents.learning.rig_gains import chosen_gains, costs_on_rig, gain_sets
+from hydro_agents.learning.rig_gains import chosen_gains, gain_sets
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
-from hydro_agents.learning.tuning import Tuned
+from hydro_agents.learning.tuning import Tuned, costs_of_sets
 from hydro_agents.learning.vec_env import RigsVecEnv
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.folders import pretrained_folder
@@ -124,7 +124,7 @@ def test_a_simulation_chooses_the_gains_that_the_policy_corrects(policy):
     sets = rig_gains.gain_sets("flow_linearising", RIGS[0])
     assert sets[0] == FlowLinearisingGains()
     chosen = chosen_gains("flow_linearising", RIGS[0])
-    costs = list(costs_on_rig("flow_linearising", sets, RIGS[0]))
+    costs = list(costs_of_sets("flow_linearising", sets, [RIGS[0]], rig_gains.CHOICE_CASES, 0)["costs"])
     clearly = min(costs) < 0.9 * costs[0]
     assert sets.index(chosen) == (int(np.argmin(costs)) if clearly else 0)
     assert policy[1].moved_to(RIGS[0], chosen_gains).features.base.gains == chosen
