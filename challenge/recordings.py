@@ -20,7 +20,7 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.pid import PID
 from hydro_agents.detection.dataset import EXTERNAL_LEAK
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause, measured_run
-from hydro_agents.detection.disturbances import DISTURBANCES, PRESSURES, Disturbed, drawn
+from hydro_agents.detection.disturbances import DISTURBANCES, DRIFTS, PRESSURES, Disturbed, drawn
 from hydro_agents.detection.operations import ACTING, MOTIONS
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.learning.stable_gain import pid_from_figures
@@ -170,7 +170,7 @@ def simulated_crew(
     noted = _Noted(controller)
     signals, run = measured_run(task, noted, Cases(members.seeds, flow, faults=faults))
     if moves is not None:
-        moves.read(signals)
+        signals[:, PRESSURES] += moves.course[:, DRIFTS]
     for axis in range(count):
         rows = task.steps if run.failed_at[axis] < 0 else int(run.failed_at[axis]) + 1
         end = rows * task.control_period

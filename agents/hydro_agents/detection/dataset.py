@@ -7,7 +7,7 @@ import numpy as np
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, cut, measured_run
-from hydro_agents.detection.disturbances import DISTURBANCES, Disturbed, drawn
+from hydro_agents.detection.disturbances import DISTURBANCES, DRIFTS, PRESSURES, Disturbed, drawn
 from hydro_agents.detection.features import LABELS, features_of
 from hydro_agents.detection.operations import ACTING, MOTIONS, OPERATIONS
 from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
@@ -22,11 +22,8 @@ from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Array, Floats, Indices, Mask, Singles
 
 EXTERNAL_LEAK = "external_leak"
-UNSEEN = ("position_offset",)  # faults that are invisible in the measured signals; they get no label
-
-LABEL_OF_FAULT = {
-    name: LABELS.index(cause.word.replace(" ", "_")) for name, cause in CAUSE_OF_FAULT.items() if name not in UNSEEN
-}
+LABEL_OF_FAULT = {name: LABELS.index(cause.word.replace(" ", "_")) for name, cause in CAUSE_OF_FAULT.items()}
+del LABEL_OF_FAULT["position_offset"]  # is invisible in the measured signals
 
 CHANGING = ("onset", "growth")
 
@@ -164,7 +161,7 @@ def simulated(
     measured, run = measured_run(task, acting, Cases(seeds, scale * leaks, faults=faults))
     signals = measured.astype(np.float32)
     if moves is not None:
-        moves.read(signals)
+        signals[:, PRESSURES] += moves.course[:, DRIFTS]
     lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
     parts = []
     for size in sizes:

@@ -25,6 +25,7 @@ SUPPLY, TANK, PRESSURE_A, PRESSURE_B = range(4)
 
 NOTICEABLE = np.array([0.01, 0.5e5, 1e5, 1e5])  # range of each row from which a window counts as disturbed; Pa
 
+DRIFTS = (PRESSURE_A, PRESSURE_B)  # rows to add to the readings of :data:`PRESSURES`
 PRESSURES = [SIGNALS.index("pressure_a"), SIGNALS.index("pressure_b")]
 _RELIEF, _TANK = (Coefficients._fields.index(name) for name in ("relief_pressure", "tank_pressure"))
 _SUPPLY = State._fields.index("supply_pressure")
@@ -78,10 +79,6 @@ class Disturbances(NamedTuple):
         """Ranges of the courses in one window of each of some axes, over :data:`NOTICEABLE`, the largest; (axes,)."""
         ranges = np.ptp(cut(self.course[axes], begins, samples), axis=2)
         return (ranges / NOTICEABLE).max(axis=1)
-
-    def read(self, signals: Array) -> None:
-        """Add the drift of the transducers to readings, (N, signals, T) in Pa, in place."""
-        signals[:, PRESSURES] += self.course[:, (PRESSURE_A, PRESSURE_B)]
 
 
 def drawn(generator: np.random.Generator, kinds: NDArray[np.str_], steps: int, period: float) -> Disturbances:

@@ -129,8 +129,7 @@ def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, Singles]:
 
 def standardised(features: Singles, mean: Array, scale: Array) -> Singles:
     """Inputs of the network, (N, F)."""
-    inputs = np.clip((features - mean) * scale, -LARGEST_INPUT, LARGEST_INPUT)
-    return inputs
+    return np.clip((features - mean) * scale, -LARGEST_INPUT, LARGEST_INPUT)
 
 
 def probabilities(output: Floats) -> Floats:

@@ -11,12 +11,9 @@ from hydro_env import TaskConfig, task_config
 from hydro_env.types import Floats, Singles
 
 Span = tuple[float, float]
-Change = Callable[[TaskConfig], TaskConfig]
-Make = Callable[[TaskConfig, int, int], Controller]  # the controller of the axes from task, number of axes and seed
 
 SLOWER = 12.0
 SMALLEST_STEP = 1e-6  # m; steps of this size count as rest
-WAVES = ("sine", "square", "noise")  # that may be added to the command; noise is a new level in each half period
 
 
 def at_rest(config: TaskConfig) -> TaskConfig:
@@ -76,7 +73,7 @@ class Operation(_Operator):
         self.gain, self.amplitude, self.relay, self.step = map(drawn, (gain, amplitude, relay, step))
         self.delay = drawn(delay).round().astype(int)
         self.interval, self.period = drawn(interval).round(), drawn(period).round()
-        self.wave = self.generator.integers(0, len(WAVES), count)
+        self.wave = self.generator.integers(0, 3, count)  # of the shapes below
         self.decided = self.level = np.zeros(count)
 
     def act(self, error: Floats) -> Floats:
@@ -91,6 +88,7 @@ class Operation(_Operator):
         phase = time % self.period / self.period
         new_level = (time % np.maximum(self.period // 2, 1)) == 0
         self.level = np.where(new_level, self.generator.uniform(-1.0, 1.0, len(error)), self.level)
+        # Sine, square, and noise, which is a new level in each half period.
         shapes = np.stack([np.sin(2.0 * np.pi * phase), np.where(phase < 0.5, 1.0, -1.0), self.level])
         return self.holding + self.decided + self.amplitude * shapes[self.wave, axes]
 
@@ -161,7 +159,7 @@ def _shipped(kind: str, config: TaskConfig, count: int, seed: int) -> Controller
 UNSEEN = {"sliding mode": _sliding_mode, "three-step switch": _three_step, "swept sine": _swept_sine}
 """Laws that are not part of the leakage head's training."""
 
-ACTING: dict[str, Make] = {
+ACTING: dict[str, Callable[[TaskConfig, int, int], Controller]] = {
     "PID": partial(_shipped, "pid"),
     "PPO on flow linearisation": partial(_shipped, "ppo"),
     "flow-linearising": partial(_shipped, "flow_linearising"),
@@ -172,9 +170,9 @@ ACTING: dict[str, Make] = {
     "open loop": partial(Operation, gain=(0.2, 2.0), amplitude=(0.02, 0.6), period=(30.0, 600.0)),
     **{name: partial(_Unseen, law) for name, law in UNSEEN.items()},
 }
-"""Controllers of the axes, by name."""
+"""Controllers of the axes, by name, from task, number of axes and seed."""
 
-MOTIONS: dict[str, Change] = {
+MOTIONS: dict[str, Callable[[TaskConfig], TaskConfig]] = {
     "ordinary": lambda config: config,  # all kinds of reference
     "slow": slow,
     "standing still": at_rest,

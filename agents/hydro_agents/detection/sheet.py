@@ -115,6 +115,7 @@ def sheet_of(config: TaskConfig, for_any_axis: bool = False) -> Sheet:
     """
     within_a_period(config.command_latency, config, "a leakage head")
     plant, sensors = config.plant, config.sensors
+    a, b = sensors.pressure_a, sensors.pressure_b
     c = plant_coefficients(plant)
     numbers = settings_of(config)[0]
     priors = _priors(config, LAP if for_any_axis else KNOWN_LAP)
@@ -129,16 +130,16 @@ def sheet_of(config: TaskConfig, for_any_axis: bool = False) -> Sheet:
         transition=_candidate_valves(config),
         sensor_low=np.array([getattr(sensors, name).low for name in SENSORS]),
         sensor_high=np.array([getattr(sensors, name).high for name in SENSORS]),
-        lowest_a=sensors.pressure_a.low + sensors.pressure_a.bias + 4.0 * sensors.pressure_a.noise,
-        lowest_b=sensors.pressure_b.low + sensors.pressure_b.bias + 4.0 * sensors.pressure_b.noise,
+        lowest_a=a.low + a.bias + 4.0 * a.noise,
+        lowest_b=b.low + b.bias + 4.0 * b.noise,
         spool_noise=sensors.spool_position.noise + 1e-9,
         pressure_decay=float(numbers["pressure_decay"]),
         pressure_lag=float(numbers["pressure_lag"]),
         gas_volume=float(gas_volume_at(plant.supply.pressure, Physical(*to_vector(plant).tolist()))),
         period=config.control_period,
         position_noise=math.hypot(sensors.position.noise, sensors.position.resolution) + 1e-9,
-        pressure_noise_a=NOISE_WITHOUT_LAG * sensors.pressure_a.noise + 1.0,
-        pressure_noise_b=NOISE_WITHOUT_LAG * sensors.pressure_b.noise + 1.0,
+        pressure_noise_a=NOISE_WITHOUT_LAG * a.noise + 1.0,
+        pressure_noise_b=NOISE_WITHOUT_LAG * b.noise + 1.0,
         flow_noise=SPOOL_NOISE_LEFT * travel * sensors.spool_position.noise + 1e-12,
         flow_error=travel * FLOW_ERROR,
     )

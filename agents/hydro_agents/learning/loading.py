@@ -172,7 +172,7 @@ def outside_training(trained: Any, config: TaskConfig) -> str:
     return outside_law(RigLaw.model_validate(law), config) if law else ""
 
 
-def trained_for(controller: Controller) -> PlantParameters | None:
-    """The nominal rig of the task of a policy's training; ``None`` for any other controller."""
+def trained_elsewhere(controller: Controller, config: TaskConfig) -> bool:
+    """Whether a controller is a policy whose training had another nominal rig than the task."""
     features = getattr(controller, "features", None)
-    return None if features is None else features.config.plant
+    return features is not None and features.config.plant != config.plant

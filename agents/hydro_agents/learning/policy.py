@@ -21,6 +21,7 @@ from hydro_env.types import ByName, Mask, Singles
 
 KIND = "policy"
 _NORMALISATION = ("normalisation.centre", "normalisation.unit", "normalisation.limit")  # the last: if standardised
+_LSTM = ("lstm.inputs", "lstm.recurrent", "lstm.bias")
 LONGEST_LAG = 10_000  # control periods; more must be a mistake
 Layers = list[tuple[Singles, Singles]]
 
@@ -267,8 +268,7 @@ class PolicyController:
             tensors |= dict(zip(_NORMALISATION, self.features.normalisation, strict=False))
         if self.lstm is not None:
             settings["lstm_cells"] = self.lstm.recurrent.shape[1]
-            parts = ("lstm.inputs", "lstm.recurrent", "lstm.bias")
-            tensors |= dict(zip(parts, self.lstm, strict=True))
+            tensors |= dict(zip(_LSTM, self.lstm, strict=True))
         return save_weights(path, KIND, tensors, {**settings, "training": self.training})
 
     @classmethod
@@ -287,7 +287,7 @@ class PolicyController:
                 parts = [tensors[name] for name in _NORMALISATION if name in tensors]
                 features.normalisation = (Normalisation if len(parts) == 2 else Standardisation)(*parts)
             if stored.lstm_cells is not None:
-                lstm = LSTM(tensors["lstm.inputs"], tensors["lstm.recurrent"], tensors["lstm.bias"])
+                lstm = LSTM(*(tensors[name] for name in _LSTM))
             for number in range(len(stored.layer_sizes) - 1):
                 layers.append((tensors[f"layer{number}.weight"], tensors[f"layer{number}.bias"]))
             policy = cls(features, layers, stored.training, stored.activation, lstm)

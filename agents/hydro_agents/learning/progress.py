@@ -41,7 +41,6 @@ class Progress(NamedTuple):
 
     steps: int
     total_steps: int
-    seconds: float  # duration of training, all sessions together
     mean_reward: float  # per control period, over the last episodes; NaN before the first one has ended
 
 
@@ -92,7 +91,7 @@ def training_logger(folder: str | Path | None, steps: int = 0) -> Logger:
         writers.append(ProgressFile(Path(folder) / PROGRESS_FILE, steps))
         with suppress(AssertionError):  # TensorBoard may not be installed
             writers.append(TensorBoardOutputFormat(str(folder)))
-    return Logger(None if folder is None else str(folder), writers)
+    return Logger(None, writers)
 
 
 def renew_rigs(model: Any, settings: PPOSettings, share: float) -> None:
@@ -168,7 +167,7 @@ class TrainingCallback(BaseCallback):
             episodes = np.array([(episode["r"], episode["l"]) for episode in self.model.ep_info_buffer])
             reward, length = float(np.mean(episodes[:, 0] / episodes[:, 1])), float(np.mean(episodes[:, 1]))
         if self._progress is not None:
-            self._progress(Progress(steps, total, self.seconds, reward))
+            self._progress(Progress(steps, total, reward))
         if every and (steps // every > self._logged // every or steps >= total):
             for name, value in self._validation().items():
                 self.logger.record(f"validation/{name}", value)

@@ -101,6 +101,6 @@ def mean_logarithm(costs: Sequence[Floats], cases: Sequence[Cases]) -> Floats:
     parts = []
     for own, rows in zip(cases, costs, strict=True):
         families = np.array(own.options["reference"])
-        for family in dict.fromkeys(own.options["reference"]):
+        for family in dict.fromkeys(families.tolist()):
             parts.append(rows[:, families == family].mean(axis=1))
     return np.asarray(np.log(parts).mean(axis=0))

@@ -106,7 +106,7 @@ def tune(
         population_size=search.population,
     )
     best = None
-    for generation in range(-(-search.evaluations // search.population)):
+    for done in range(0, search.evaluations, search.population):
         points = [optimiser.ask() for _ in range(search.population)]
         gains = [_gains(search.start, space.values(point), search.separable) for point in points]
         job = Job(costs_of_sets, kind, (gains, tasks, search.cases, search.seed), kind)
@@ -117,7 +117,7 @@ def tune(
         if leading is not None and (best is None or costs[leader] < best.cost):
             best = Tuned(leading, costs[leader], 0)
         if best is not None:
-            best = best._replace(evaluations=(generation + 1) * search.population)
+            best = best._replace(evaluations=done + search.population)
             if progress is not None:
                 progress(best)
     if best is None:

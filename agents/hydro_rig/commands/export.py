@@ -164,13 +164,13 @@ def _tell_distance(what: str, trained: object, config: TaskConfig) -> None:
 
 def _controller(what: str, request: _Request, name: str, gains: Gains | None, single: bool) -> Job:
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.learning.loading import GainsOrigin, origin_of_gains, trained_for
+    from hydro_agents.learning.loading import GainsOrigin, origin_of_gains, trained_elsewhere
     from hydro_rig.export.controller_folder import exported_files, files_of
     from hydro_rig.export.onnx_writer import package
 
     package("onnx")  # report a missing package at the start
     controller, config = _controller_and_task(what, request, gains)
-    if trained_for(controller) not in (None, config.plant):
+    if trained_elsewhere(controller, config):
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
     _tell_distance(what, controller, config)
     origin: str = origin_of_gains(what, config) if what in CONTROLLERS else ""
