@@ -152,7 +152,11 @@ def task_from(
     by_law = [name for name in DRAWN if name in overrides and values.get("law") is not None]
     if by_law:
         raise ConfigurationError(f"task: {by_law[0]}: the law draws it with each rig")
-    return validate(model, values, source, within)
+    task = validate(model, values, source, within)
+    given, law = overrides.get("references"), getattr(task, "law", None)
+    if law is not None and law.preview_paces and isinstance(given, Mapping) and "preview_times" in given:
+        raise ConfigurationError("task: references.preview_times: the law shows paces instead: law.preview_paces = []")
+    return task
 
 
 def _refuse_drawn_leak(plant: Any, source: str) -> None:

@@ -135,6 +135,14 @@ def test_impossible_laws_are_refused(law, message):
     assert "\n" not in str(error.value)
 
 
+def test_times_of_a_preview_that_the_law_replaces_are_refused():
+    with refused("references.preview_times: the law shows paces instead"):
+        ServoHydraulicEnv(rig="drawn", references={"preview_times": [0.01]})
+    assert task_config(law={"preview_paces": []}, references={"preview_times": [0.01]}).references.preview_times == (
+        0.01,
+    )
+
+
 def test_an_axis_of_a_law_with_one_rig_ends_by_the_steps_of_this_rig():
     """One with 2000 steps of 1 ms, and one with 250 of 8 ms; the default task has 400."""
     for first, steps in ((300, 2000), (303, 250)):
