@@ -69,11 +69,11 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
     with at("teacher"):
         teacher = shipped(settings.teacher, config) if settings.teacher else None
     leader = teacher or features.base
-    measured = leader
-    if settings.start and features.base is None:
-        measured = _start(settings.start)
-        measured.features = features
-    if settings.family_units and measured is not None:
+    if settings.family_units and leader is not None:
+        measured: Any = leader
+        if settings.start and features.base is None:
+            measured = _start(settings.start)
+            measured.features = features
         errors = family_errors(practised, measured, sensor_frame=settings.family_units == "sensor")
         practised = in_family_units(practised, errors)
     return AxisVecEnv(

@@ -251,6 +251,7 @@ class RigsVecEnv(_SharedVecEnv):
     def renew(self, first: int) -> list[tuple[slice, VecEnvObs]]:
         """Replace the rigs before number ``first`` by the next ones; returns the places and inputs of the new axes."""
         renewed = []
+        self.first = max(self.first, first - len(self.envs))  # a resumed training makes only the rigs that it needs
         while self.first < first:
             place = self.first % len(self.envs)
             self.envs[place].close()

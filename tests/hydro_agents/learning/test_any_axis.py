@@ -19,7 +19,7 @@ from hydro_agents.learning.rig_gains import chosen_gains, gain_sets
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
 from hydro_agents.learning.tuning import Tuned, costs_of_sets
-from hydro_agents.learning.vec_env import RigsVecEnv
+from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
@@ -263,7 +263,8 @@ def test_rigs_give_way_to_the_next_and_a_resumed_training_goes_on_with_them(poli
     assert seen[2][1] == [rigs[6], rigs[4], rigs[5]]
 
     def interrupt(progress):
-        raise KeyboardInterrupt
+        if progress.steps > 192:
+            raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         train_policy(TASK, settings, seed=1, folder=tmp_path / "parts", progress=interrupt)
@@ -271,6 +272,21 @@ def test_rigs_give_way_to_the_next_and_a_resumed_training_goes_on_with_them(poli
     np.testing.assert_equal([bias for _, bias in resumed.layers], [bias for _, bias in whole.layers])
     with refused("rigs_together = 8: must not exceed law.count = 7"):
         validate(PPOSettings, settings.model_dump() | {"rigs_together": 8}, "test")
+
+
+def test_a_resumed_training_makes_only_the_rigs_that_it_needs():
+    made = []
+
+    def make(number):
+        made.append(number)
+        return AxisVecEnv(TASK, 2)
+
+    env = RigsVecEnv(make, 3, AnyAxisFeatures(TASK, None))
+    places = [part.start for part, _ in env.renew(10)]
+    assert (made, env.first) == ([0, 1, 2, 10, 11, 12], 10)
+    assert sorted(places) == [0, 2, 4]
+    assert env.renew(10) == []
+    env.close()
 
 
 def test_the_units_of_rewards_are_the_errors_of_the_policy_that_a_training_starts_with(tmp_path):
