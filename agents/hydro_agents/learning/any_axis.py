@@ -17,6 +17,8 @@ from hydro_env.task.signals import data_sheet
 from hydro_env.types import ByName, Floats, Indices, Singles
 
 PREVIEW_PACES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # of the reference that a policy for any axis sees
+FINER_PACES = (0.25, 0.75)  # more of them for one that acts alone
+AVERAGING_TIMES = (20.0, 100.0, 500.0)  # of the slow averages that such a policy sees, steps of the rig
 USUAL_ERROR = 0.03  # of untuned flow linearisation, as a part of the travel at full speed in a pace; on the paper's rig
 CORRECTION_RANGE = (0.1, 3.0)  # of the correction's size, relative to that at the usual error
 ERROR_PLANTS = 8  # plants of each family of references on which the error is simulated
@@ -28,9 +30,10 @@ class AnyAxisFeatures(PolicyFeatures):
     They are the measured signals, the reference some paces ahead, what the corrected controller commands and estimates,
     a history in steps of the rig, and the data sheet. On a rig without a spool sensor the last command replaces it.
 
-    A policy that acts alone has units by similarity: those of untuned flow linearisation on the rig of its task, on
-    another rig in proportion to full speed, pace, stroke and supply pressure. One law for dimensionless numbers serves
-    all.
+    A policy that acts alone remembers slow averages, from which leak, flow gain and offset of the valve can be told: of
+    the tracking error, and of opening and speed by direction. It has units by similarity: those of untuned flow
+    linearisation on the rig of its task, on another rig in proportion to full speed, pace, stroke and supply pressure.
+    One law for dimensionless numbers serves all.
 
     A correction is as large as the rig allows: in proportion to the travel that the corrected controller's error is.
 
@@ -59,8 +62,11 @@ class AnyAxisFeatures(PolicyFeatures):
         factor = float(np.clip(error / USUAL_ERROR, *CORRECTION_RANGE))
         super().__init__(config, base, correction * factor, full_preview=True, see_estimates=True, lags=lags)
         self.correction, self.error = correction, error
+        self._paces = np.array(PREVIEW_PACES if base else sorted((*PREVIEW_PACES, *FINER_PACES)))
+        if base is None:
+            self._blend = np.repeat(1.0 / (1.0 + periods * np.array(AVERAGING_TIMES)), 5).astype(np.float32)
         own, horizon = pace(config), self._preview.horizon
-        ahead = np.minimum(np.array(PREVIEW_PACES) * own / config.control_period, horizon)
+        ahead = np.minimum(self._paces * own / config.control_period, horizon)
         columns = np.arange(horizon + 2)[:, None] - 1.0  # −1: the sample before now
         weights = np.maximum(1.0 - np.abs(columns - ahead), 0.0)  # linear between samples
         weights[1] -= 1.0
@@ -86,8 +92,9 @@ class AnyAxisFeatures(PolicyFeatures):
         signals = np.array(list(sizes.values())) / scale
         changes = np.tile(signals, (len(self.lags), 1))
         changes[:, 0] = speed * self.config.control_period * np.array(self.lags) / scale[0]
-        ahead = np.minimum(np.array([*PREVIEW_PACES, 1.0]) * own, reach) * speed / PREVIEW_SCALE
-        return np.concatenate([signals, ahead, changes.ravel()])
+        ahead = np.minimum(np.array([*self._paces, 1.0]) * own, reach) * speed / PREVIEW_SCALE
+        averages = np.tile(signals[[6, 4, 4, 1, 1]], len(AVERAGING_TIMES))
+        return np.concatenate([signals, ahead, averages, changes.ravel()])
 
     @property
     def size(self) -> int:
@@ -97,6 +104,19 @@ class AnyAxisFeatures(PolicyFeatures):
     def _columns_of(self, names: tuple[str, ...]) -> Indices:
         present = ["previous_command" if name not in self.layout.names else name for name in HISTORY_SIGNALS]
         return super()._columns_of(tuple(present))
+
+    def _averaged(self, signals: Singles, correction: Singles) -> Singles:
+        if self.base is not None:
+            return correction
+        speed, opening, error = (signals[:, column, None] for column in (1, 4, 6))
+        out = opening > 0.0
+        ways = [
+            np.maximum(opening, 0.0),
+            np.minimum(opening, 0.0),
+            np.where(out, speed, 0.0),
+            np.where(out, 0.0, speed),
+        ]
+        return np.tile(np.concatenate([error, *ways], axis=1, dtype=np.float32), len(AVERAGING_TIMES))
 
     def _seen(self, inputs: Singles, signals: Singles, reference: Floats) -> list[Singles]:
         del inputs

@@ -88,7 +88,7 @@ class FeatureState(NamedTuple):
     base: Any  # memory of the controller that the policy corrects; ``None`` without one
     ring: Singles  # recent signals (N, length, signals), the oldest first
     base_command: Singles  # command of the corrected controller at the last call, (N, 1)
-    lasting: Singles  # slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)
+    lasting: Singles  # slow averages (first order), of the correction (:data:`LASTING_TIME`), (N, 1)
     reference: Floats  # the reference from one period ago to the farthest preview, m, (N, samples)
     hidden: Singles | None = None  # memory of a recurrent policy, (N, 2 cells)
 
@@ -176,23 +176,28 @@ class PolicyFeatures:
         if state is None:
             reference = self._preview.start(observation)
             ring = np.repeat(signals[:, None], self._oldest + 1, axis=1)
-            state = FeatureState(None, ring, zero, zero, reference)
-            correction = lasting = zero
+            correction = zero
+            state = FeatureState(None, ring, zero, self._averaged(signals, correction), reference)
         else:
             correction = inputs[:, self._command_column, None] - state.base_command
-            lasting = state.lasting + self._blend * (correction - state.lasting)
             reference = self._preview.advanced(state.reference, observation)
         ring = np.concatenate([state.ring[:, 1:], signals[:, None]], axis=1)
+        averaged, lasting = self._averaged(signals, correction), state.lasting
         if episode_start is not None and np.any(episode_start):
             started = np.flatnonzero(episode_start)
             ring[started] = signals[started, None]
-            correction, lasting = (np.where(episode_start[:, None], zero, a) for a in (correction, lasting))
+            correction = np.where(episode_start[:, None], zero, correction)
+            averaged = self._averaged(signals, correction)
+            lasting = np.where(episode_start[:, None], averaged, lasting)
             reference[started] = self._preview.start(observation[started])
+        lasting = lasting + self._blend * (averaged - lasting)
         past = ring[:, self._past].reshape(len(signals), -1)
         changes = np.tile(signals, len(self.lags)) - past
         state = state._replace(ring=ring, reference=reference)
         seen = self._seen(inputs, signals, reference)
         if self.base is None:
+            if self.for_any_axis:
+                seen, state = [*seen, lasting], state._replace(lasting=lasting)
             return self._normalised([*seen, changes]), state
         command, memory = answer or self.base.predict(observation, state.base, episode_start)
         own = [command]
@@ -202,6 +207,11 @@ class PolicyFeatures:
             own.append(self.base.estimates(memory))
         state = state._replace(base=memory, base_command=command, lasting=lasting)
         return self._normalised([*seen, *own, changes]), state
+
+    def _averaged(self, signals: Singles, correction: Singles) -> Singles:
+        """What the slow averages are of."""
+        del signals
+        return correction
 
     def _columns_of(self, names: tuple[str, ...]) -> Indices:
         return np.array([self.layout.index(name) for name in names])

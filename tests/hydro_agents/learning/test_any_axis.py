@@ -10,7 +10,7 @@ from refusal import refused
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning import any_axis, rig_gains, tuning
-from hydro_agents.learning.any_axis import PREVIEW_PACES, USUAL_ERROR, AnyAxisFeatures
+from hydro_agents.learning.any_axis import AVERAGING_TIMES, PREVIEW_PACES, USUAL_ERROR, AnyAxisFeatures
 from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_SCALE
 from hydro_agents.learning.loading import load_controller
 from hydro_agents.learning.policy import PolicyController
@@ -26,7 +26,7 @@ from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import validate
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
-from hydro_env.task.paces import full_speed, pace
+from hydro_env.task.paces import full_speed, pace, periods_per_step
 
 TASK = TaskConfig(episode_duration=0.2)
 LAW = {"count": 3, "preview_paces": []}
@@ -311,7 +311,7 @@ def test_a_policy_that_acts_alone_has_units_by_similarity_and_simulates_no_other
     def units(features, name):
         """Of the signal now and of its change in the last step of the history, SI."""
         place, scale = HISTORY_SIGNALS.index(name), features.layout.scale[features.layout.index(name)]
-        latest = len(HISTORY_SIGNALS) + len(PREVIEW_PACES) + 1 + place
+        latest = features.moving - len(features.lags) * len(HISTORY_SIGNALS) + place
         return scale * features.normalisation.unit[[place, latest]]
 
     for task in RIGS[:3]:
@@ -327,6 +327,24 @@ def test_a_policy_that_acts_alone_has_units_by_similarity_and_simulates_no_other
         }
         for name, ratio in expected.items():
             assert units(there, name) / units(here, name) == pytest.approx(ratio, rel=1e-5), name
+
+
+def test_a_policy_that_acts_alone_remembers_slow_averages_by_direction():
+    features, task = AnyAxisFeatures(RIGS[0], None), RIGS[0]
+    rest = np.zeros((2, len(features.layout.names)), np.float32)
+    moves = rest.copy()
+    columns = [features.layout.index(name) for name in ("tracking_error", "spool_position", "velocity_estimate")]
+    moves[:, columns] = [[0.02, 0.3, 0.5], [-0.02, -0.3, 0.1]]
+    _, state = features(rest, None, None)
+    for _ in range(7):
+        inputs, state = features(moves, state, None)
+    last = features.moving - len(features.lags) * len(HISTORY_SIGNALS)
+    averages = inputs[:, last - 15 : last].reshape(2, 3, 5)
+    share = 1.0 - (1.0 - 1.0 / (1.0 + periods_per_step(task) * np.array(AVERAGING_TIMES))) ** 7
+    whole = np.array([[0.02, 0.3, 0.0, 0.5, 0.0], [-0.02, 0.0, -0.3, 0.0, 0.1]])
+    np.testing.assert_allclose(averages, share[:, None] * whole[:, None], rtol=1e-5)
+    inputs, _ = features(moves, state, np.array([True, False]))  # begins again
+    np.testing.assert_allclose(inputs[0, last - 15 : last].reshape(3, 5), np.tile(whole[0], (3, 1)), rtol=1e-6)
 
 
 def test_what_cannot_be_is_refused(policy):

@@ -12,6 +12,7 @@ from exported_code import InC, InPython, library
 from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.loading import load_controller
 from hydro_agents.learning.policy import PolicyController
@@ -110,6 +111,9 @@ def test_every_form_of_a_policy_can_be_exported(task, base, more, activation):
 def test_a_policy_with_a_memory_can_be_exported():
     policy = PolicyController.load(pretrained_folder() / "policy_any_axis")
     exported_files(policy, policy.features.config, "hydro export")
+    alone = AnyAxisFeatures(policy.features.config, None).normalised()  # its slow averages are a memory
+    layers = [(np.full((1, alone.size), 0.02, np.float32), np.zeros(1, np.float32))]
+    exported_files(PolicyController(alone, layers), alone.config, "hydro export")
 
 
 # Refusals ------------------------------------------------------------------------------------------------------------
