@@ -140,7 +140,7 @@ class PolicyFeatures:
         self._oldest = max(self.lags, default=0)
         self._past = self._oldest - np.array(self.lags, np.int64)  # places in the ring
         self._command_column = self.layout.index("previous_command")
-        self._blend = np.float32(config.control_period / (config.control_period + LASTING_TIME))
+        self._blend: Any = np.float32(config.control_period / (config.control_period + LASTING_TIME))
         self._preview = Preview(config)
         self._rebuilt = np.setdiff1d(np.arange(self._preview.horizon + 2), [1, *(1 + n for n in self._preview.counts)])
 
