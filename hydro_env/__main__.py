@@ -1,6 +1,7 @@
 """``python -m hydro_env``: an axis as text; with arguments the command ``hydro``, where that is not on the path."""
 
 import sys
+from contextlib import suppress
 from importlib import import_module
 
 import gymnasium as gym
@@ -39,4 +40,5 @@ if __name__ == "__main__":
     if len(sys.argv) > 1:
         import_module("hydro_agents.commands.launcher").main()
     else:
-        show_axis()
+        with suppress(BrokenPipeError):  # the reader has closed the pipe
+            show_axis()
