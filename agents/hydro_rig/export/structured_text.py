@@ -29,6 +29,7 @@ OPERATIONS = ARITHMETIC | {
 RESERVED = frozenset((TEMPLATES / "reserved_words.txt").read_text(encoding="utf-8").split())
 """Words of the language, its standard functions and blocks, and of C; indices of loops. No variable has such a name."""
 
+ABREAST = 8  # columns that a product adds up together, at most: compilers check or wrap each access to an array
 LARGEST_TABLE = 1000  # numbers in single precision, 4 kB: of a matrix in an instance, or in one function
 ASCII = {"±": "+/-", "…": "...", "−": "-", "→": "->", "²": "2", "°": "deg", "√": "root of "}
 _TYPE = re.compile(r"^TYPE\b(.*?)^END_TYPE", re.MULTILINE | re.DOTALL)
@@ -78,7 +79,7 @@ LANGUAGE = Language(
 
 
 class TextWriter(Writer):
-    """Writes the product with a large matrix as calls of functions that hold some of its rows each.
+    """Writes the product with a large matrix as calls of functions that hold some of its columns each.
 
     So no instance holds the weights of a policy: every instance would hold a copy of its own constants. Functions need
     no declaration by the user, unlike global variables, for which some compilers take no initial values of arrays.
@@ -99,11 +100,10 @@ class TextWriter(Writer):
         _, rows, columns = node.sizes
         if matrix not in self._calls:
             self._calls[matrix] = self._functions(matrix, rows, columns)
-        self.longest = max(self.longest, rows, columns)
+        self.longest = max(self.longest, rows, columns + ABREAST)
         return [
             *self._declaration(node, name),
             self._loop("i", rows, f"factors[i] := {self.element(node.operands[0], 'i')};"),
-            self._loop("i", columns, "totals[i] := 0.0;"),
             *self._calls[matrix],
             self.stored(name, "totals", columns),
         ]
@@ -112,15 +112,16 @@ class TextWriter(Writer):
         """Writes the functions of a matrix; returns their calls."""
         assert matrix.table is not None
         calls = []
-        step = max(LARGEST_TABLE // columns, 1)
-        for first in range(0, rows, step):
-            name, count = f"{self._name}Product{len(self.functions) + 1}", min(step, rows - first)
-            numbers = matrix.table[first * columns : (first + count) * columns]
-            weights = self.table("weights", matrix.kind, numbers)
-            i, j = ("0" if size == 1 else letter for letter, size in zip("ij", (count, columns), strict=True))
-            sum_up = f"totals[{j}] := totals[{j}] + factors[{first} + {i}] * weights[{i} * {columns} + {j}];"
-            sum_up = self._loop("i", count, self._loop("j", columns, sum_up))  # FOR i := 0 TO 0: MATIEC skips it
-            self.functions.append({"name": name, "weights": weights, "sum_up": sum_up})
+        fitting = max(LARGEST_TABLE // rows, 1)  # columns in a function
+        abreast = min(fitting, ABREAST)
+        step = fitting // abreast * abreast
+        weights = np.pad(matrix.table.reshape(rows, columns), ((0, 0), (0, -columns % abreast)))
+        for first in range(0, weights.shape[1], step):
+            groups = weights[:, first : first + step].reshape(rows, -1, abreast).swapaxes(0, 1)
+            name = f"{self._name}Product{len(self.functions) + 1}"
+            table = self.table("weights", matrix.kind, groups.ravel())
+            place = {"first": first, "groups": len(groups), "abreast": abreast, "rows": rows}
+            self.functions.append({"name": name, "weights": table, **place})
             calls.append(f"done := {name}(factors, totals);")
         return calls
 

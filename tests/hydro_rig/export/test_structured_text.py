@@ -114,12 +114,28 @@ def test_it_keeps_the_rules_of_the_compilers_of_the_second_edition(kind, exporte
     assert max(int(last) for last in re.findall(r"ARRAY\[0\.\.(\d+)\]", text)) < 1_000
 
 
-def test_a_function_of_one_row_has_no_loop_over_it(exported, monkeypatch):
-    """MATIEC leaves out a loop from 0 to 0, and with it one of 46 inputs: 0.04 V."""
-    monkeypatch.setattr(writing, "LARGEST_TABLE", 150)  # of rows of 128
-    text = structured_text(exported("ppo").graph)
-    assert "factors[1 + 0] * weights[0 *" in text
+@pytest.mark.parametrize(("largest", "abreast", "groups"), [(1000, 7, 1), (3000, 8, 2), (128, 1, 1)])
+def test_functions_hold_the_weights_column_by_column_with_no_loop_over_one(
+    exported, monkeypatch, largest, abreast, groups
+):
+    """MATIEC leaves out a loop from 0 to 0."""
+    monkeypatch.setattr(writing, "LARGEST_TABLE", largest)
+    graph = exported("ppo").graph
+    text = structured_text(graph)
     assert "TO 0 DO" not in text
+    matrix = next(node.operands[-1].table for node in graph.graph.nodes() if node.sizes == (1, 128, 128))
+    found = np.zeros((128, 140), np.float32)
+    for function in re.findall(r"^FUNCTION \w+Product.*?^END_FUNCTION", text, re.M | re.S):
+        if "TO 127 DO" in function:
+            numbers = np.array(
+                re.findall(r"-?\d+\.\d+(?:E[-+]\d+)?", function.partition("[\n")[2].partition("]")[0]), np.float32
+            )
+            first = int(re.search(r"totals\[(\d+) \+", function)[1])
+            parts = numbers.reshape(-1, 128, abreast)
+            assert (len(parts) == groups) or first + numbers.size // 128 >= 128
+            found[:, first : first + numbers.size // 128] = parts.swapaxes(0, 1).reshape(128, -1)
+    np.testing.assert_array_equal(found[:, :128], matrix.reshape(128, 128))
+    assert not found[:, 128:].any()
 
 
 @pytest.mark.parametrize("kind", KINDS)
