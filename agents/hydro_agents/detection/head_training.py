@@ -47,7 +47,7 @@ Progress = Callable[[str, int, int, str], None]  # of phase, amount done, total 
 
 def make_network(width: int, inputs: int = len(FEATURES), dropout: float = 0.0) -> nn.Sequential:
     """The network: from features to the outputs of a head."""
-    layers: list[nn.Module] = []
+    layers = []
     for before, after in pairwise((inputs, width, width // 2, OUTPUTS)):
         layers += [nn.Linear(before, after), nn.ReLU(), nn.Dropout(dropout)]
     return nn.Sequential(*layers[:-2])

@@ -115,7 +115,7 @@ class Protocol(Group, Generic[AnyCondition]):
         Raises:
             ConfigurationError: the changed task is impossible; the message names the condition.
         """
-        tasks: dict[str, TaskConfig] = {}
+        tasks = {}
         errors: list[ConfigurationError] = []
         for name in self.conditions:
             with kept(errors):

@@ -148,7 +148,7 @@ def run(
     """
     cells = list(protocol.cells(chosen))
     listed: dict[str, Job] = {}
-    keys: list[list[str]] = []
+    keys = []
     for number, cell in enumerate(cells):
         # Equal jobs have one key and run once: conditions that differ only in their references share standstills.
         keys.append([job.file if job.digest else f"{number}|{place}" for place, job in enumerate(cell.jobs)])

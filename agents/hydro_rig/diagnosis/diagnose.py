@@ -129,7 +129,7 @@ def diagnose(
         >>> verdict.kind.value, round(verdict.leak.value, 1)
         ('internal leak', 1.0)
     """
-    left_out: list[Finding] = []
+    left_out = []
 
     def choose(samples: Sampled) -> Windows:
         windows = cut(samples, max(round(window / samples.period), 2))

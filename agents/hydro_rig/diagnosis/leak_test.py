@@ -181,7 +181,7 @@ def steps_of(task: TaskConfig, travel: Mapping[float, float], duration: float, o
         dead = 0.0
     rest = (duration - sum(travel.values())) / len(travel) - 2 * MOVE * MOVES
     each = rest / (len(SHARES) + 2)  # with the largest and the closed opening
-    steps: list[Step] = []
+    steps = []
 
     def add(size: float, seconds: float, what: str) -> None:  # whole control periods, and openings of four decimals
         whole = max(round(seconds / period), 1) * period
@@ -251,7 +251,7 @@ def read_leak_test(path: Path, config: TaskConfig, columns: ColumnMap | None = N
     Raises:
         ConfigurationError: the recording cannot be read at all.
     """
-    found: Quantities = {}
+    found = {}
 
     def read(windows: Windows, config: TaskConfig) -> Read:
         if len(windows) < 2:

@@ -59,8 +59,7 @@ class KnownWindows(NamedTuple):
         if name == LEAKAGE:
             return self.leakage_flow_lpm
         if name == EXTERNAL_LEAKAGE:
-            flow: Floats = ROD_SEAL.flow(self.physical[:, PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)])
-            return flow
+            return ROD_SEAL.flow(self.physical[:, PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)])
         if name == LATENCY:
             return self.latency
         for names, values in ((BIASES, self.bias), (STARTS, self.start)):
@@ -157,8 +156,7 @@ def bound(config: TaskConfig, windows: KnownWindows, priors: Priors, threads: in
     model, scaled = true_model(config, windows, priors, threads)
     linear = Problem(model, usable_readings(windows.signals, config, model)).linearised(scaled, central=True)
     place = model.names.index(LEAKAGE)
-    deviation: Floats = np.sqrt(linear.covariance()[:, place, place]) * model.prior.slope(scaled)[:, place]
-    return deviation
+    return np.sqrt(linear.covariance()[:, place, place]) * model.prior.slope(scaled)[:, place]
 
 
 def true_model(

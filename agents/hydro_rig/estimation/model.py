@@ -231,5 +231,4 @@ class Model:
         """
         own = precision[:, self.simulated[:, None], self.simulated]
         values, vectors = np.linalg.eigh(own)
-        steps: Floats = vectors * (length / np.sqrt(np.clip(values, 1e-12, 1e12)))[:, None]  # beyond: rounding alone
-        return steps
+        return vectors * (length / np.sqrt(np.clip(values, 1e-12, 1e12)))[:, None]  # beyond: rounding alone

@@ -129,7 +129,7 @@ class Block:
 
     def _read(self, inputs: ByName, memory: BlockMemory) -> tuple[ByName, Any]:
         """The signals by name, the last sample in place of a lost one; and a number with one bit per lost signal."""
-        value: ByName = {}
+        value = {}
         lost_signals: Any = 0
         for place, signal in enumerate(self.signals.signals):
             given, last, (lowest, highest) = inputs[signal.name], memory.last[signal.name], signal.beyond
@@ -178,7 +178,7 @@ class Block:
             controller = controller.limited(_output_limit(inputs) / FULL_VOLTAGE)
         command, new = controller.predict(observation, memory)
         wanted = command.astype(np.float64)[0, 0]
-        answer: ByName = {}
+        answer = {}
         if self.corrects:
             base_command = new.base_command.astype(np.float64)[0, 0]
             correction = wanted - base_command

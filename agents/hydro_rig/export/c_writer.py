@@ -91,7 +91,7 @@ class Writer:
 
     def statements(self, nodes: Sequence[Node]) -> list[str]:
         """Statements that compute nodes, operands first; each result gets a variable."""
-        lines: list[str] = []
+        lines = []
         origin = ""
         for node in nodes:
             written = self._statement(node)

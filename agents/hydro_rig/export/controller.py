@@ -98,7 +98,7 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
 
     def step(**values: Any) -> ByName:
         refused: Any = np.False_
-        variable: ByName = {}
+        variable = {}
         for gain in gains:
             present_gain = values[GAINS + gain.name]
             within = np.logical_and(present_gain >= gain.low, present_gain <= gain.high)
@@ -154,7 +154,7 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
     memory = leaves_of(empty, "memory")
 
     def predict(**values: Any) -> ByName:
-        outputs: ByName = {}
+        outputs = {}
         observation = np.stack([values[name] for name in signals.layout.names])[None]
         for prefix, before in ((STARTED, None), (CONTINUED, with_leaves(empty, values, "memory"))):
             outputs[f"{prefix}command"], new = controller.predict(observation, before)

@@ -157,7 +157,7 @@ class Builder:
     def collect(self, numbers: NDArray[Any], kind: np.dtype[Any], **details: Any) -> Node:
         """The node that holds some elements, by their numbers, (size,)."""
         pieces: list[tuple[Node, int]] = [self._elements[number] for number in numbers]
-        firsts: dict[Node, int] = {}
+        firsts = {}
         total = 0
         for source, _ in pieces:
             if source not in firsts:

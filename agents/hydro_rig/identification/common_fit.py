@@ -60,8 +60,7 @@ class Joint(NamedTuple):
     @property
     def common(self) -> Floats:
         """The shared values, (p,), scaled."""
-        values: Floats = self.scaled[0, self.shared]
-        return values
+        return self.scaled[0, self.shared]
 
 
 class Common(NamedTuple):

@@ -32,7 +32,7 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
     """
     used = found.part(np.flatnonzero(found.holds)) if found.holds.any() else found
     end = "used" if found.holds.any() else "the model still does not hold"
-    odd: list[tuple[str, str]] = []
+    odd = []
     for part, count in Counter(part for parts in found.parts for part in parts).items():
         if count >= MOST_DIFFER * len(found):
             odd.append(("model", f"shows {part} that the assumed rig lacks"))
@@ -53,7 +53,7 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
 
 def off_the_sheet(latency: float, rise_time: float, white: Floats, task: TaskConfig) -> list[tuple[str, str]]:
     """Signals whose timing (s) or white noise, (channels,) over that of the data sheet, is another, and how."""
-    odd: list[tuple[str, str]] = []
+    odd = []
     if abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period:
         odd.append(("command", f"acts {_ms(latency)} after its row, and not {_ms(task.command_latency)} ({LATENCY})"))
     rise_time, usual = max(rise_time, 0.0), task.sensors.pressure_rise_time

@@ -32,7 +32,7 @@ _BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
 
 def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
     """Values of the rig's parameters by path, within the bounds of each field; a negative leak becomes none."""
-    values: dict[str, float] = {}
+    values = {}
     for name, value in fit.own().items():
         if name == LEAKAGE:
             own = LEAK_LAWS[config.leakage.law].parameter
@@ -64,7 +64,7 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Ranges) -> dict[str, ByName]:
 
     An undetermined parameter keeps its range. The leak, which a task draws, keeps its range too.
     """
-    result: dict[str, ByName] = {}
+    result = {}
     plant = found_plant(fit, config)
     for one in fit.unknowns:
         path = EXTERNAL_RESISTANCE if one.name == EXTERNAL_LEAKAGE else one.name

@@ -84,7 +84,7 @@ class Identification:
     @property
     def findings(self) -> Findings:
         """All findings; with several recordings each begins with the name of its file."""
-        found: Findings = []
+        found = []
         for recording, checked, changes in zip(self.recordings, self.checked, self.parts.findings, strict=True):
             name = f"{Path(recording.source).name}: " if len(self.recordings) > 1 else ""
             for finding in (*checked.findings, *changes):

@@ -35,7 +35,7 @@ OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
 def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding], Mask]:
     """Findings about each single channel, and (5, T) which readings are invalid: stuck, lost, saturated, impossible."""
-    findings: list[Finding] = []
+    findings = []
     bad = np.zeros(samples.signals.shape, dtype=np.bool_)
 
     def found(row: int, mask: Mask, what: str, weight: Weight) -> None:

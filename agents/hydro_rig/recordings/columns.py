@@ -167,7 +167,7 @@ def own_map(headings: Sequence[str], source: str) -> ColumnMap:
     Raises:
         ConfigurationError: time or command is missing, or a name occurs twice.
     """
-    found: dict[str, Any] = {}
+    found = {}
     for place, heading in enumerate(headings, 1):
         plain, unit = split_heading(heading)
         name = ALIASES.get(plain.lower(), plain.lower())

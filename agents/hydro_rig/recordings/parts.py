@@ -73,8 +73,8 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
             f"position; at least {FEWEST_WINDOWS - 1} are needed"
         )
     apart, reason = _apart(cuts, whole)
-    used: dict[int, Windows] = {}
-    held_back: list[Stretch] = []
+    used = {}
+    held_back = []
     for number, windows in enumerate(cuts):
         if number not in apart:
             held = np.zeros(len(windows), dtype=np.bool_) if apart else _with_motion(windows)
@@ -168,16 +168,14 @@ def _shows_position(windows: Windows) -> Mask:
     travel = _ranges(windows.signals)[:, POSITION]
     readings = np.isfinite(windows.signals[:, POSITION]).mean(axis=1)
     most = readings > 0.5 * readings.max(initial=0.0)
-    shows: Mask = most | (travel > FAST * travel.max(initial=0.0))
-    return shows
+    return most | (travel > FAST * travel.max(initial=0.0))
 
 
 def _ranges(signals: Floats) -> Floats:
     """Range of each signal in each window, (N, channels), from (N, channels, T); 0 without two readings."""
     known = np.isfinite(signals)
     low, high = (np.where(known, signals, end) for end in (np.inf, -np.inf))
-    ranges: Floats = np.maximum(high.max(axis=2) - low.min(axis=2), 0.0)
-    return ranges
+    return np.maximum(high.max(axis=2) - low.min(axis=2), 0.0)
 
 
 def liveliest(windows: Windows, most: int, section: float = 0.0) -> Indices:

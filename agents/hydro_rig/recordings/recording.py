@@ -115,8 +115,8 @@ def _values_of(
     places = {signal: place_of(column, signal, file.headings, source) for signal, column in chosen.items()}
     cells, findings = together(file, places)
     rows = len(cells["command"])
-    units: dict[str, str] = {}
-    values: dict[str, Floats] = {}
+    units = {}
+    values = {}
     dates, begin = time_stamps(cells["time"])
     for signal, column in chosen.items():
         heading, own = file.headings[places[signal]], cells[signal]

@@ -124,12 +124,10 @@ def with_row(table: pd.DataFrame, file: File, found: dict[str, Any]) -> pd.DataF
 
 def stamp(time: float) -> str:
     """Seconds since 1970 as ``2026-10-03T08:00:00``."""
-    text: str = pd.Timestamp(time, unit="s").strftime("%Y-%m-%dT%H:%M:%S")
-    return text
+    return pd.Timestamp(time, unit="s").strftime("%Y-%m-%dT%H:%M:%S")
 
 
 def seconds(stamps: pd.Series) -> Floats:
     """Seconds since 1970 of ``2026-10-03T08:00:00`` or ``2026-10-03``; ValueError: a text is no date."""
     when = pd.to_datetime(stamps, utc=True, format="ISO8601")
-    found: Floats = (when - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=np.float64)
-    return found
+    return (when - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=np.float64)
