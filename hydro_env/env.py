@@ -30,7 +30,7 @@ _FAMILY, _FAILURE, _REWARD, _STEP, _FAULTY, _RIG = (
     COLUMN[name] for name in ("reference_family", "failure", "reward", "step", "faulty", "rig")
 )
 _TERMS = tuple(enumerate(REWARD_TERMS, COLUMN["costs"]))
-_FIRST = np.zeros(1, dtype=np.int64)
+_FIRST = np.zeros(1, np.int64)
 RENDER_MODES = ("human", "rgb_array")  # with pygame
 FRAMES_PER_SECOND = 50.0  # of a window
 

@@ -84,9 +84,9 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._everyone = np.arange(self.num_envs, dtype=np.int64)
-        self._present = np.ones(self.num_envs, dtype=bool)
+        self._present = np.ones(self.num_envs, bool)
         self._present.flags.writeable = False
-        self._ended = np.zeros(self.num_envs, dtype=bool)
+        self._ended = np.zeros(self.num_envs, bool)
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: Any = None) -> tuple[Singles, Info]:
         """Begin an episode on every axis, or on those of ``options["reset_mask"]``.
@@ -124,7 +124,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         return np.flatnonzero(chosen)
 
     def _seed(self, seed: int | Sequence[int | None] | None, axes: Indices) -> None:
-        if isinstance(seed, list | tuple | np.ndarray) and np.shape(np.asarray(seed, dtype=object))[:1]:
+        if isinstance(seed, list | tuple | np.ndarray) and np.shape(np.asarray(seed, object))[:1]:
             if len(seed) != self.num_envs:
                 raise ConfigurationError(f"seed: {len(seed)} seeds for {self.num_envs} axes")
             seeds = [None if value is None else whole_number("seed", value, 0) for value in seed]
@@ -201,7 +201,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
                 last[axis] = self._axes.observation[axis].copy()
             final = {"final_info": self._info(ended), "_final_info": mask.copy()}
         self._begin(ended)
-        self._ended = np.zeros(self.num_envs, dtype=bool)
+        self._ended = np.zeros(self.num_envs, bool)
         return {"final_obs": last, "_final_obs": mask.copy(), **final}
 
     def set_state(self, state: AxesState) -> None:
@@ -219,7 +219,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
             return {}
         present = self._present
         if len(axes) < self.num_envs:
-            present = np.zeros(self.num_envs, dtype=bool)
+            present = np.zeros(self.num_envs, bool)
             present[axes] = True
 
         def column(name: str) -> Array:
@@ -274,7 +274,7 @@ def _names_of(codes: Indices, known: Sequence[str], present: Mask) -> NDArray[np
 
     Filled code by code: NumPy 2.0 to 2.2.2 crash when two threads repeat an array of objects.
     """
-    names = np.empty(len(codes), dtype=object)
+    names = np.empty(len(codes), object)
     for code in np.bincount(codes).nonzero()[0].tolist():
         names[(codes == code) & present] = known[code]
     return names

@@ -166,7 +166,7 @@ def linearise(
     derivative_array, command_changed_array, *_ = functions_of(parameters.structure)
     values = [state.get(name) for name in names] if isinstance(state, Mapping) else state
     try:
-        at = np.array(values, dtype=float).reshape(len(names))
+        at = np.array(values, float).reshape(len(names))
     except (TypeError, ValueError):
         raise HydroError(f"state: must be numbers for {', '.join(names)}") from None
     voltage = holding if voltage is None else float(voltage)

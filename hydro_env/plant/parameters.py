@@ -142,7 +142,7 @@ def to_vector(parameters: PlantParameters) -> Floats:
     for path in PARAMETER_PATHS:
         value = attrgetter(path)(parameters)
         values.append(MODEL_CODES[path].index(value) if path in MODEL_CODES else value)
-    return np.array(values, dtype=float)
+    return np.array(values, float)
 
 
 def from_vector(vector: Floats) -> PlantParameters:

@@ -134,7 +134,7 @@ def _evaluate_on_drawn_rigs(
     from hydro_agents.evaluation.drawn_rigs import PLANTS, on_drawn_rigs, summary
     from hydro_agents.running.console import console_table
     from hydro_agents.running.text import Table
-    from hydro_env.task.configuration import task_config
+    from hydro_env import task_config
 
     drawn = task_config(options.task, law=law | {"split": "test", "count": TEST_RIGS})
     with working_in(options.output, "evaluate", ["rigs.csv"], options.resume, options.overwrite) as display:

@@ -5,10 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from hydro_env.errors import HydroError
+from hydro_env import HydroError, PlantParameters, linearise
 from hydro_env.plant.analysis import reachable_range
-from hydro_env.plant.linearisation import linearise
-from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import typical_sizes
 from hydro_env.task.paces import periods_late
 from hydro_env.types import Array, Floats

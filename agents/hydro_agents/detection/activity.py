@@ -22,7 +22,7 @@ class Activity(IntEnum):
 
 def activity_of(signals: Array, control_period: float) -> NDArray[np.int8]:
     """:class:`Activity` (N,) during windows of signals (N, 5, T) in SI units; lost samples are left out."""
-    position = np.asarray(signals[:, SIGNALS.index("position")], dtype=float)
+    position = np.asarray(signals[:, SIGNALS.index("position")], float)
     count = max(round(_SPAN / control_period), 1)
     blocks = position[:, : position.shape[1] // count * count].reshape(len(position), -1, count)
     present = np.isfinite(blocks)

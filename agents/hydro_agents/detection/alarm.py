@@ -108,7 +108,7 @@ class LeakAlarm:
             mean=np.zeros((count, len(Activity))),
             seen=np.zeros((count, len(Activity))),
             total=np.zeros(count),
-            alarm=np.zeros(count, dtype=bool),
+            alarm=np.zeros(count, bool),
         )
 
     def update(self, look: Reading, activity: NDArray[np.int8], state: AlarmState) -> AlarmState:

@@ -111,7 +111,7 @@ class Windows:
     def of(cls, signals: Array) -> "Windows":
         """Windows (N, 5, T) whose times do not matter."""
         unknown = np.full(len(signals), np.nan)
-        return cls(np.asarray(signals, dtype=float), unknown, unknown)
+        return cls(np.asarray(signals, float), unknown, unknown)
 
     @classmethod
     def joined(cls, parts: "Sequence[Windows]") -> "Windows":
@@ -198,7 +198,7 @@ class MeasuredColumns(NamedTuple):
     def si(self, observed: Array) -> Floats:
         """Signals (N, 5, T) in SI units from these columns of observations, (N, columns, T); NaN: no such sensor."""
         signals = np.full((len(observed), len(SIGNALS), observed.shape[2]), np.nan)
-        signals[:, self.rows] = observed.astype(np.float64) * self.scale[:, None]
+        signals[:, self.rows] = observed.astype(float) * self.scale[:, None]
         return signals
 
 
@@ -248,7 +248,7 @@ class Reading(NamedTuple):
         Raises:
             ValueError: a field has another length.
         """
-        score = np.asarray(score, dtype=float)
+        score = np.asarray(score, float)
         if cause is None:
             cause = np.where(np.isnan(score), Cause.UNDETERMINED, Cause.NONE)
         values = dict.fromkeys(cls._fields, np.nan) | {"fault": "", "why": Why.ANSWERED} | known
@@ -311,13 +311,13 @@ class Detector(Protocol):
 
 def logit(probability: ArrayLike) -> Floats:
     """Logarithm of the odds, finite for 0 and 1."""
-    inside = np.clip(np.asarray(probability, dtype=float), 1e-15, 1.0 - 1e-15)
+    inside = np.clip(np.asarray(probability, float), 1e-15, 1.0 - 1e-15)
     return np.log(inside / (1.0 - inside))
 
 
 def threshold_at_false_alarm_rate(healthy_scores: Array, rate: float) -> float:
     """Lowest threshold that flags at most the share ``rate`` of the healthy scores."""
-    ordered = np.sort(np.asarray(healthy_scores, dtype=float))[::-1]
+    ordered = np.sort(np.asarray(healthy_scores, float))[::-1]
     allowed = int(np.floor(rate * len(ordered)))
     if allowed >= len(ordered):
         return 0.0

@@ -101,7 +101,7 @@ def rig_features(config: TaskConfig) -> Singles:
         leak_scale(config),
         1e3 * sheet.flow_noise / sheet.position_noise + 1e-6,
     )
-    return np.array([*data_sheet(config).values(), *np.log10(sizes)], dtype=np.float32)
+    return np.array([*data_sheet(config).values(), *np.log10(sizes)], np.float32)
 
 
 def sheet_of(config: TaskConfig, for_any_axis: bool = False) -> Sheet:

@@ -63,9 +63,9 @@ class Grid:
         situations = cases[["condition", "leakage_flow_lpm"]].drop_duplicates()
         self.family = plants["family"].to_numpy().astype(str)
         self.condition = situations["condition"].to_numpy().astype(str)
-        self.leak = situations["leakage_flow_lpm"].to_numpy(dtype=float)
-        self.all_plants = np.ones(len(plants), dtype=bool)
-        self.all_situations = np.ones(len(situations), dtype=bool)
+        self.leak = situations["leakage_flow_lpm"].to_numpy(float)
+        self.all_plants = np.ones(len(plants), bool)
+        self.all_situations = np.ones(len(situations), bool)
         self._plant = _places(plants, cases)
         self._situation = _places(situations, cases)
         self._cases = cases
@@ -79,7 +79,7 @@ class Grid:
             own = self._of[controller]
             seeds, seed = np.unique(self._cases["training_seed"].to_numpy()[own], return_inverse=True)
             filled = np.full((len(seeds), len(self.all_plants), len(self.all_situations)), np.nan)
-            filled[seed, self._plant[own], self._situation[own]] = self._cases[metric].to_numpy(dtype=float)[own]
+            filled[seed, self._plant[own], self._situation[own]] = self._cases[metric].to_numpy(float)[own]
             self._made[controller, metric] = filled
         return self._made[controller, metric]
 

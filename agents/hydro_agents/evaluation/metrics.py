@@ -169,7 +169,7 @@ def reversals(command: Array) -> int:
     """Number of turning points at which the command swings back by more than :data:`REVERSAL_THRESHOLD`."""
     count, direction = 0, 0
     extreme = low = high = float(command[0])
-    for value in np.asarray(command, dtype=float).tolist():
+    for value in np.asarray(command, float).tolist():
         if direction == 0:
             low, high = min(low, value), max(high, value)
             if high - low > REVERSAL_THRESHOLD:
@@ -191,7 +191,7 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
         getattr(rollout, name)[case] for name in ("position", "reference", "command", "spool", "supply_power", "reward")
     )
     bias = rollout.position_bias[case]
-    error = np.asarray(reference, dtype=float) - position
+    error = np.asarray(reference, float) - position
     settling, offsets, beyond = [], [], []
     final = max(round(FINAL_SHARE / period), 1)
     ahead = round(preview / period)

@@ -164,7 +164,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
         families = table["family"].to_numpy().astype(str)
         return Cases(
             table["seed"].to_numpy(np.int64),
-            table["leakage_flow_lpm"].to_numpy(np.float64),
+            table["leakage_flow_lpm"].to_numpy(float),
             None if (families == "user").all() else families,
             self.conditions[name].parameters_on(self.tasks[name]),
         )

@@ -210,7 +210,7 @@ def _label(value: Any) -> str:
 def as_text(frame: pd.DataFrame, caption: str) -> Table:
     """A data frame as a table of texts, for the console."""
     rows = []
-    for name, cells in zip(frame.index, frame.to_numpy(dtype=object), strict=True):
+    for name, cells in zip(frame.index, frame.to_numpy(object), strict=True):
         rows.append((str(name), *map(shown, cells)))
     return Table(caption, ("", *map(str, frame)), rows)
 
@@ -218,7 +218,7 @@ def as_text(frame: pd.DataFrame, caption: str) -> Table:
 def with_interval(table: pd.DataFrame, column: str, decimals: int | None = None, factor: float = 1.0) -> pd.Series:
     """A column with its interval as texts: 0.512 (0.400 to 0.625)."""
     texts = []
-    for row in factor * table[[column, f"{column}_low", f"{column}_high"]].to_numpy(dtype=float):
+    for row in factor * table[[column, f"{column}_low", f"{column}_high"]].to_numpy(float):
         middle, low, high = (number(value, decimals) for value in row)
         if np.isfinite(row[1]):
             middle += f" ({low} to {high})"
@@ -308,9 +308,9 @@ def draw(
     scale = figure_of(axes).dpi_scale_trans
     for index, name in enumerate(names):
         own = table[table[by] == name]
-        places, middle, lengths = own[over], factor * own[value].to_numpy(dtype=float), None
+        places, middle, lengths = own[over], factor * own[value].to_numpy(float), None
         if f"{value}_low" in own:
-            low, high = factor * own[[f"{value}_low", f"{value}_high"]].to_numpy(dtype=float).T
+            low, high = factor * own[[f"{value}_low", f"{value}_high"]].to_numpy(float).T
             lengths = np.nan_to_num(np.maximum([middle - low, high - middle], 0.0))
         shift = apart / 72.0 * (index - 0.5 * (len(names) - 1))
         style: dict[str, Any] = {"label": name}
@@ -367,8 +367,8 @@ def legend(axes: Axes) -> None:
 
 def figure_of(axes: Panels) -> Figure:
     """The figure of a panel, or of several."""
-    (first, *_) = np.atleast_1d(np.asarray(axes, dtype=object))
-    figure: Figure | None = first.get_figure(root=True)
+    (first, *_) = np.atleast_1d(np.asarray(axes, object))
+    figure = first.get_figure(root=True)
     assert figure is not None
     return figure
 

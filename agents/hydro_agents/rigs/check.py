@@ -20,7 +20,7 @@ from hydro_agents.learning.stable_gain import (
     quiet_gains,
     weakest,
 )
-from hydro_env import HydroError, PlantParameters, TaskConfig
+from hydro_env import HydroError, PlantParameters, TaskConfig, equilibrium, linearise
 from hydro_env.plant.analysis import (
     chamber_volumes,
     closed_port_natural_frequency,
@@ -30,8 +30,7 @@ from hydro_env.plant.analysis import (
     softest_position,
     speed_limits,
 )
-from hydro_env.plant.arrays import equilibrium, plant_coefficients
-from hydro_env.plant.linearisation import linearise
+from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.randomisation import default_randomisation
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
@@ -118,7 +117,7 @@ def resting_place(parameters: PlantParameters) -> float:
 
 def _geometry(parameters: PlantParameters) -> list[Row]:
     c, half = plant_coefficients(parameters), 0.5 * parameters.cylinder.stroke
-    rows: list[Row] = [
+    rows = [
         ("area a (bore side)", "", c.area_a / SQUARE_CENTIMETRE, "cm²"),
         ("area b (rod side)", "", c.area_b / SQUARE_CENTIMETRE, "cm²"),
         ("area ratio a/b", "", c.area_a / c.area_b, "1"),

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from hydro_env.errors import ConfigurationError
+from hydro_env import ConfigurationError
 from hydro_env.mistakes import one_of
 from hydro_env.plant.parameters import PARAMETER_UNITS
 from hydro_env.task.nameplates import FIELDS, curve_fit, lap_and_knee, position_error, rig_values

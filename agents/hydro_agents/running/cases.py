@@ -154,12 +154,12 @@ def run_cases(
     axes, memory = env.axes, None
     if isinstance(controller, TrueStateController):
         controller.begin(axes)
-    traces = {name: np.zeros((count, steps), dtype=np.float32) for name in _TRACES}
+    traces = {name: np.zeros((count, steps), np.float32) for name in _TRACES}
     reference = axes.reference[:, 1 : steps + 1].astype(np.float32)
     signals = None
     if signal_columns is not None:
         signals = np.zeros((steps, count, len(signal_columns)), dtype=np.float32)
-    failed_at = np.full(count, -1, dtype=np.int64)
+    failed_at = np.full(count, -1)
     flow = axes.column("leak_flow").copy()
     bias = axes.column("bias")[:, _POSITION].copy()
     for step in range(steps):
@@ -221,7 +221,7 @@ def _act(
         answer = controller.predict(observation, memory, started, True)
         fault = "returned no pair of commands and state"
         commands, memory = answer
-        action = np.asarray(commands, dtype=float)
+        action = np.asarray(commands, float)
     except (Exception, SystemExit) as error:  # sys.exit() in a controller must not end the command as if all were well
         raise ControllerError(f"{when}: predict {fault}: {reason(error)}") from error
     if action.shape != (len(cases), 1):

@@ -41,7 +41,7 @@ def find_limit_cycle(position: Array, period: float, floor: float) -> LimitCycle
     The position is true, while the reference is constant, (T,), m; T ≥ 18. A limit cycle has an amplitude above the
     ``floor`` (m), and does not decay within the run.
     """
-    values = np.asarray(position, dtype=float)
+    values = np.asarray(position, float)
     time = np.linspace(-1.0, 1.0, len(values))
     motion = values - np.polyval(np.polyfit(time, values, _DRIFT), time)
     amplitude, last = (np.sqrt(2.0) * np.std(part) for part in (motion, motion[-(len(motion) // 3) :]))
@@ -68,7 +68,7 @@ def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, Floats
     """
     floor, judged = config.sensors.position.resolution, round(JUDGED / config.control_period)
     found = [find_limit_cycle(row, config.control_period, floor) for row in rollout.position[:, -judged:]]
-    amplitude, frequency, sustained = np.array(found, dtype=float).T
+    amplitude, frequency, sustained = np.array(found, float).T
     return {
         "limit_cycle": sustained,
         "amplitude_um": 1e6 * amplitude,

@@ -58,7 +58,7 @@ def diagnose(
     Exit codes: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell, 2 wrong input.
     """
     from hydro_agents.running.folders import refuse_taken
-    from hydro_env.task.configuration import task_config
+    from hydro_env import task_config
     from hydro_rig.diagnosis.diagnose import change_of, in_json
     from hydro_rig.diagnosis.diagnose import diagnose as diagnose_recording
     from hydro_rig.diagnosis.diagnosis_page import FILES, JOB, diagnose_to_folder
@@ -214,7 +214,7 @@ def leak_test(
     Exit codes of the reading: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell.
     """
     from hydro_agents.running.folders import output_folder, refuse_taken
-    from hydro_env.task.configuration import task_config
+    from hydro_env import task_config
     from hydro_rig.diagnosis import leak_test_page as pages
     from hydro_rig.diagnosis.leak_test import plan, read_leak_test
     from hydro_rig.diagnosis.verdict import EXIT_CODES

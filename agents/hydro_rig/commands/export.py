@@ -123,7 +123,7 @@ class _Request(NamedTuple):
 
 
 def _plant(task: str | None, rig: Path | None) -> Job:
-    from hydro_env.task.configuration import task_config
+    from hydro_env import task_config
     from hydro_rig.export.plant import make_fmus, modelica_text, plant_code
 
     config = task_config(task, rig=rig)
@@ -173,7 +173,7 @@ def _controller(what: str, request: _Request, name: str, gains: Gains | None, si
     if trained_elsewhere(controller, config):
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
     _tell_distance(what, controller, config)
-    origin: str = origin_of_gains(what, config) if what in CONTROLLERS else ""
+    origin = origin_of_gains(what, config) if what in CONTROLLERS else ""
     if gains is not None:
         origin = GainsOrigin.SEARCHED if gains is Gains.SEARCHED else GainsOrigin.FIGURES
     if origin in (GainsOrigin.ANY_RIG, GainsOrigin.RIG):

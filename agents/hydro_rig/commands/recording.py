@@ -44,8 +44,7 @@ def record(
     from hydro_agents.learning.loading import GainsOrigin, load_controller, origin_of_gains, shipped
     from hydro_agents.learning.rig_gains import chosen_gains
     from hydro_agents.running.tasks import named_faults
-    from hydro_env import ConfigurationError
-    from hydro_env.task.configuration import task_config
+    from hydro_env import ConfigurationError, task_config
     from hydro_env.task.reference_signals import FAMILIES
     from hydro_rig.recordings.simulated import record_axis
 
@@ -117,7 +116,7 @@ def identify(
     the command ends with one line. See `docs/identify.md`.
     """
     from hydro_agents.running.folders import refuse_taken
-    from hydro_env.task.configuration import task_config
+    from hydro_env import task_config
     from hydro_env.task.rig import read_rig
     from hydro_rig.estimation.solver import shown
     from hydro_rig.identification.identification_page import FILES, JOB, identify_to_folder

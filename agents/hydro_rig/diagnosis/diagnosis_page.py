@@ -87,7 +87,7 @@ def diagnosis_page(
     began = "without a date"
     if recording.begin > FIRST_DATE:
         began = datetime.fromtimestamp(recording.begin, UTC).isoformat(" ", "seconds")
-    facts: ByName = {
+    facts = {
         "recording": recording.source,
         "rig assumed": rig_line(diagnosis.task.plant),
         "begins": began,

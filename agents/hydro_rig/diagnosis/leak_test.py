@@ -142,7 +142,7 @@ def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None,
 
 def worn_task(config: TaskConfig) -> TaskConfig:
     """The task with a valve that may be worn and a return line that may be clogged; wider ranges of the rig stay."""
-    ranges: dict[str, Any] = {path: drawn.model_dump(exclude_none=True) for path, drawn in config.randomisation.items()}
+    ranges = {path: drawn.model_dump(exclude_none=True) for path, drawn in config.randomisation.items()}
     for path, wear in WORN.items():
         own = own_value(config.plant, path)
         drawn = config.randomisation.get(path, Distribution(uniform=(own, own)))

@@ -6,7 +6,7 @@ ASTM D341 (Walther): log10 log10(ν + 0.7) = A − B log10 T, with ν in mm²/s 
 grade, ISO 3448) and at 100 °C fix A and B. The density, which falls by 0.7 % per 10 K, is left out.
 """
 
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,8 +62,8 @@ class Oil(NamedTuple):
         cold, hot = np.log10(np.log10(np.array(self) + 0.7))
         places = np.log10(np.array([40.0, 100.0]) + KELVIN)
         slope = (cold - hot) / (places[1] - places[0])
-        double = cold - slope * (np.log10(np.asarray(temperature, dtype=np.float64) + KELVIN) - places[0])
-        return np.asarray(10.0**10.0**double - 0.7)
+        double = cold - slope * (np.log10(np.asarray(temperature) + KELVIN) - places[0])
+        return 10.0**10.0**double - 0.7
 
     def factor(self, temperature: ArrayLike) -> Floats:
         """What a leak measured at temperatures in °C is multiplied by to be that at the reference."""
@@ -94,7 +94,7 @@ def common_error(oil: Oil, temperature: float) -> float:
 def referred(leak: Leak, oil: Oil, temperature: float) -> Leak:
     """Leaks with their intervals, numbers or arrays, at the reference temperature instead of the measured one, °C."""
     factor, colder, hotter = oil.factors(temperature, HALF_WIDTH)
-    value: Any = factor * leak.value
+    value = factor * leak.value
     size = np.maximum(leak.value, 0.0)
     low = value - np.hypot(factor * (leak.value - leak.low), (factor - hotter) * size)
     high = value + np.hypot(factor * (leak.high - leak.value), (colder - factor) * size)

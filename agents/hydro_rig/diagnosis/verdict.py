@@ -108,7 +108,7 @@ class Case(NamedTuple):
     def missed(self) -> Mask:
         """Of the windows that the estimator has tried to explain, those that its model does not explain."""
         tried = ~np.isin(self.reading.why, (Why.NO_COMMANDS, Why.NOT_READ))
-        return np.asarray(self.reading.cause[tried] == Cause.UNKNOWN)
+        return self.reading.cause[tried] == Cause.UNKNOWN
 
     @property
     def blamed(self) -> str:

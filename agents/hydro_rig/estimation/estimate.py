@@ -95,7 +95,7 @@ def estimate(
 
 def checked_signals(signals: Any) -> Floats:
     """Signals as (B, 5, T); ConfigurationError: the shape is wrong."""
-    windows = np.asarray(signals, dtype=np.float64)
+    windows = np.asarray(signals, float)
     shape = windows.shape
     windows = windows[None] if windows.ndim == 2 else windows
     if windows.ndim != 3 or windows.shape[1] != len(SENSORS) + 1 or windows.shape[2] < 2 or not len(windows):
@@ -149,7 +149,7 @@ def two_pressures(signals: Floats, config: TaskConfig) -> Floats:
 def _starts(near: Floats, period: float) -> tuple[Floats, Floats]:
     """Value and slope of each channel at the first sample, (B, channels) each, from a line through a few samples."""
     time = period * np.arange(near.shape[2])
-    weight = np.isfinite(near).astype(np.float64)
+    weight = np.isfinite(near).astype(float)
     reading = np.nan_to_num(near)
     with np.errstate(invalid="ignore", divide="ignore"):
         total = weight.sum(axis=2)
@@ -205,7 +205,7 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
     more = {name: prior for name, prior in timing_priors(problem.model.config).items() if name not in names}
     wide = problem.part(odd).with_more(more)
     scaled, data = _approach(wide, np.pad(first[odd], ((0, 0), (0, len(more)))), settings), wide.measured
-    errors, spikes = Errors.of_data_sheet(*data.shape[:2]), np.zeros(data.shape, np.bool_)
+    errors, spikes = Errors.of_data_sheet(*data.shape[:2]), np.zeros(data.shape, bool)
     for attempt in range(ROUNDS):
         kept = wide._replace(measured=np.where(spikes, np.nan, data), errors=errors)
         scaled, directions = fit(kept, scaled, settings.effort)
@@ -228,7 +228,7 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
         again.holds[:] &= again.value(LEAKAGE) + SURE * again.deviation(LEAKAGE) >= 0.0
     again.spikes[:] = spikes.sum(axis=2) / np.maximum(readable.sum(axis=2), 1)
     again.unlikelihood[:] = unlikelihood + SPIKE_COST * spikes.sum(axis=(1, 2))
-    found.take(odd, again, np.ones(len(odd), np.bool_))
+    found.take(odd, again, np.ones(len(odd), bool))
 
 
 def timing_priors(config: TaskConfig) -> dict[str, Prior]:
@@ -272,7 +272,7 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
         square = errors.of_model(samples) * (count * errors.slow**2).sum(axis=1)
         doubtful = as_white.covariance() + (square / HALF_WIDTH**2)[:, None, None] * by_data_sheet
     values = model.prior.value(scaled)
-    timing: dict[str, Any] = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
+    timing = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
     timing |= {name: values[:, model.names.index(name)] for name in timing if name in model.names}
     chi2 = (linear.residual**2).sum(axis=1)
     variance = np.einsum("bii->bi", doubtful)

@@ -138,14 +138,14 @@ def _biases(axes: Axes) -> Floats:
     offset = axes.column("fault")[:, [FAULTS.index(f"{name}_offset") for name in SENSORS]]
     sensors = [getattr(axes.config.sensors, name) for name in SENSORS]
     spans = np.array([sensor.high - sensor.low for sensor in sensors])
-    return np.asarray(axes.column("bias")[:, SENSOR_COLUMNS] + offset * spans)
+    return axes.column("bias")[:, SENSOR_COLUMNS] + offset * spans
 
 
 def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mapping[str, float] | None = None) -> Cases:
     """The first seeds of a range as cases, all with the same leak (l/min at 100 bar) and the same faults."""
     levels = np.full(count, leakage_flow_lpm)
     every = {name: np.full(count, size) for name, size in (faults or {}).items()}
-    return Cases(np.array(seeds[:count], dtype=np.int64), levels, faults=every or None)
+    return Cases(np.array(seeds[:count], np.int64), levels, faults=every or None)
 
 
 def bound(config: TaskConfig, windows: KnownWindows, priors: Priors, threads: int | None = None) -> Floats:
@@ -193,4 +193,4 @@ def bound_of_windows(
     windows = known_windows(config, controller, cases, begin, duration)
     found = np.full(len(cases), np.nan)
     found[windows.case] = bound(config, windows, priors_of(known), threads=1)
-    return {"seed": cases.seeds.astype(np.float64), "sigma_lpm": found}
+    return {"seed": cases.seeds.astype(float), "sigma_lpm": found}

@@ -84,7 +84,7 @@ class Model:
         boundary: Floats | None = None,
     ) -> None:
         self.config, self.threads, self.noise = config, threads, noise_of(config)
-        command = np.array(commands, dtype=np.float64)
+        command = np.array(commands, float)
         count = len(command)
         wrong = np.argwhere(~(np.abs(command) <= 1.0))
         if len(wrong):
@@ -94,7 +94,7 @@ class Model:
             )
         unrecorded = np.full((count, 2, command.shape[1]), np.nan)
         self.commands = Commands(command, unrecorded if boundary is None else boundary)
-        own = to_vector(config.plant) if physical is None else np.asarray(physical, dtype=np.float64)
+        own = to_vector(config.plant) if physical is None else np.asarray(physical, float)
         self._physical = np.array(np.broadcast_to(own, (count, len(PARAMETER_PATHS))))
         resting = np.zeros(N_ALL_STATES)
         resting[_SUPPLY] = config.plant.supply.pressure
@@ -105,12 +105,12 @@ class Model:
     def _set_priors(self, priors: Priors) -> None:
         self.priors, self.names = dict(priors), tuple(priors)
         parts = [(prior.mean, prior.deviation, prior.logarithmic) for prior in priors.values()]
-        columns: Any = np.array(parts, dtype=np.float64).reshape(-1, 3).T
+        columns = np.array(parts, float).reshape(-1, 3).T
         self.prior: Any = Prior(columns[0], columns[1], columns[2] != 0.0)  # of all unknowns, (P,)
         # A bias adds to the readings: its derivative needs no simulation.
         self._added = {place: BIASES.index(name) for place, name in enumerate(self.names) if name in BIASES}
         self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
-        starts = np.array([self.names[place] in STARTS for place in self.simulated], np.bool_)
+        starts = np.array([self.names[place] in STARTS for place in self.simulated], bool)
         own = self.config.plant.structure
         self.structure = Structure(own.lines, own.tip or "load.tip_share" in priors)
         self._first_steps = np.where(starts, FIRST_START_STEP, FIRST_STEP)
@@ -151,7 +151,7 @@ class Model:
         commands = self.commands.beginning(samples or self.samples)
         course = np.zeros((len(window), commands.command.shape[1]))
         offset = np.zeros((len(window), 2))
-        drift: Floats | float = 0.0
+        drift = 0.0
         for name, value in zip(self.names, self.prior.value(scaled).T, strict=True):
             if name.startswith(COURSE):
                 time = self.config.control_period * np.arange(commands.command.shape[1])

@@ -91,7 +91,7 @@ def replay(
     They are NaN after a failure of the integration. ``threads``: ``None`` takes one per core.
     """
     count, samples = len(rows.window), commands.command.shape[1]
-    whole = rows._replace(start=with_all_states(np.array(rows.start, np.float64)))
+    whole = rows._replace(start=with_all_states(np.array(rows.start, float)))
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
     readings = np.full((count, len(SENSORS), samples), np.nan)
     run = _replay(structure, structure.lines and config.sensors.pressures_at == "valve")

@@ -49,7 +49,7 @@ class Errors(NamedTuple):
     def of_model(self, samples: int) -> Mask:
         """Windows in which several channels differ, at least one of them lastingly, (B,): the model is wrong."""
         differ = (self.slow > SLOW) & (self.memory > SHORT)
-        return np.asarray((differ.sum(axis=1) > 1) & (differ & (self.memory >= LASTING * samples)).any(axis=1))
+        return (differ.sum(axis=1) > 1) & (differ & (self.memory >= LASTING * samples)).any(axis=1)
 
     def as_white(self, count: Floats, samples: int) -> Self:
         """White noise with which no combination of ``count`` readings, (B, channels), is surer than with these errors.

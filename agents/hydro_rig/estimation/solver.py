@@ -81,7 +81,7 @@ class Linearised(NamedTuple):
     def covariance(self) -> Floats:
         """Covariance of the unknowns, (B, P, P), given these readings and the priors."""
         information = self.jacobian @ self.jacobian.transpose(0, 2, 1) + np.eye(self.jacobian.shape[1])
-        return np.asarray(np.linalg.inv(information), dtype=np.float64)
+        return np.asarray(np.linalg.inv(information), float)
 
     def equations(self, scaled: Floats, shared: Indices) -> Equations:
         """Normal equations of each window at unknowns (B, P), and those of the ``shared`` ones with the others unknown.

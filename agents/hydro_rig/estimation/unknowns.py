@@ -16,13 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydro_agents.detection.detector import RECORDED
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, TaskConfig, flow_from_resistance
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.plant.parts.leakage import ROD_SEAL
 from hydro_env.plant.states import ALL_STATES
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
 from hydro_env.task.sensors import PRESSURE_A, SENSORS
-from hydro_env.units import flow_from_resistance
 
 LEAKAGE, EXTERNAL_LEAKAGE = "leakage_flow_lpm", "external_leakage_flow_lpm"
 LATENCY, RISE_TIME = "command_latency", "pressure_rise_time"

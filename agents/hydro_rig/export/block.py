@@ -84,7 +84,7 @@ class Block:
         lost_samples = np.where(complete, 0, memory.lost_samples + more)
         asks_manual = inputs["manual"]
         asks_control = inputs["control"] & ~asks_manual
-        new: ByName = {
+        new = {
             "enabled": inputs["enable"],
             "asks_control": asks_control,
             "asks_manual": asks_manual,
@@ -173,7 +173,7 @@ class Block:
 
     def answer(self, observation: Any, inputs: ByName, memory: Any) -> tuple[ByName, Any]:
         """What the controller answers, by name, () each, and its new memory; ``None``: it begins."""
-        controller: Any = self.controller
+        controller = self.controller
         if hasattr(controller, "limited"):
             controller = controller.limited(_output_limit(inputs) / FULL_VOLTAGE)
         command, new = controller.predict(observation, memory)

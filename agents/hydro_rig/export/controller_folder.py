@@ -146,7 +146,7 @@ def _follow(run: _Episode) -> None:
 def _tour(run: _Episode, gains: Sequence[str]) -> None:
     """Drive the axis through TOUR, then with lost signals, and values and gains out of range."""
     here = run.signals()["position"]
-    words: dict[str, ByName] = {
+    words = {
         "on": {"enable": True, "reference": here + 0.01},
         "control": {"control": True},
         "manual": {"manual": True, "manual_command": 0.3},
@@ -165,7 +165,7 @@ def _tour(run: _Episode, gains: Sequence[str]) -> None:
         count, *held = step.split()
         for _ in range(lost if count == "lost" else int(count)):
             run.step(run.signals() | {name: value for word in held for name, value in words[word].items()})
-    changes: list[ByName] = [{GAINS + name: value} for name in gains for value in (math.nan, -1e6)]
+    changes = [{GAINS + name: value} for name in gains for value in (math.nan, -1e6)]
     if run.block.corrects:
         changes += [{"correction_limit": limit} for limit in (0.0, 0.05, math.nan)]
     for name in (signal.name for signal in run.block.signals.signals if signal.sensor):

@@ -163,7 +163,7 @@ class Builder:
             if source not in firsts:
                 firsts[source] = total
                 total += source.size
-        table = np.array([firsts[source] + offset for source, offset in pieces], dtype=np.int64)
+        table = np.array([firsts[source] + offset for source, offset in pieces], np.int64)
         if len(firsts) == 1 and np.array_equal(table, np.arange(total)):
             return pieces[0][0]
         if all(source.operation == "constant" for source in firsts):

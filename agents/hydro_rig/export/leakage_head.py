@@ -76,7 +76,7 @@ def head_code(head: LeakageHead) -> dict[str, str]:
     network = writer.statements(graph.nodes())
     answer = writer.kept("answers", graph.outputs["answer"], network)
     network.append(writer.stored("answer", answer, len(FIELDS)))
-    values: ByName = {
+    values = {
         **_texts(head),
         "sensors": len(SENSORS),
         "features": len(FEATURES),

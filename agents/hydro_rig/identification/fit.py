@@ -68,7 +68,7 @@ def spread_of(joint: Joint, recording: Indices | None = None) -> Spread:
     spread = _spread(joint, joint.information, joint.score)
     if recording is None or len(np.unique(recording)) < 2:
         return spread
-    member = (np.unique(recording)[:, None] == recording).astype(np.float64)  # (recordings, B)
+    member = (np.unique(recording)[:, None] == recording).astype(float)  # (recordings, B)
     other = _spread(joint, np.tensordot(member, joint.information, 1), member @ joint.score)
     return Spread(*map(np.maximum, spread, other))
 
@@ -110,7 +110,7 @@ def possible_ends(problem: Problem, joint: Joint, spread: Spread, ends: Floats) 
     weight = 1.0 / np.maximum(square[0] / np.maximum(known.sum(axis=2), 1), 1.0)  # as in the fit
     cost = np.nan_to_num((weight * square).sum(axis=(1, 2)), nan=np.inf, posinf=np.inf)
     rise = (cost[1:] - cost[0]).reshape(count, 2)
-    return np.asarray(bounded & (rise < (SURE_RISE * spread.widening[:, None]) ** 2))
+    return bounded & (rise < (SURE_RISE * spread.widening[:, None]) ** 2)
 
 
 def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:

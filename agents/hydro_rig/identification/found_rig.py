@@ -9,11 +9,11 @@ import yaml
 
 from hydro_agents.rigs.rig_file import unit_in_file
 from hydro_agents.running.text import decimals_for, number
-from hydro_env import PlantParameters, TaskConfig
+from hydro_env import PlantParameters, TaskConfig, flow_from_resistance, resistance_from_flow
 from hydro_env.plant.parts.leakage import LEAK_LAWS, leak_past_piston
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.types import ByName
-from hydro_env.units import FACTORS, flow_from_resistance, resistance_from_flow
+from hydro_env.units import FACTORS
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,

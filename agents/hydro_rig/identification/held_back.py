@@ -81,8 +81,8 @@ def simulate_held_back(
     signals, edge = part.signals[:, first:], part.boundary[:, first:]
     measured = signals[:COMMAND]
     (simulated,) = rig.simulated(signals[None], edge[None], count)
-    time = period * np.arange(signals.shape[1], dtype=np.float64)
-    moves = np.zeros(len(SENSORS), np.bool_)
+    time = period * np.arange(signals.shape[1], dtype=float)
+    moves = np.zeros(len(SENSORS), bool)
     for row, (values, noise) in enumerate(zip(measured, noise_of(config), strict=True)):
         moves[row] = np.isfinite(values).any() and np.nanstd(values) >= LEAST_MOTION * noise
     forecasts = rig.forecasts(signals, edge)

@@ -36,7 +36,7 @@ OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding], Mask]:
     """Findings about each single channel, and (5, T) which readings are invalid: stuck, lost, saturated, impossible."""
     findings = []
-    bad = np.zeros(samples.signals.shape, dtype=np.bool_)
+    bad = np.zeros(samples.signals.shape, bool)
 
     def found(row: int, mask: Mask, what: str, weight: Weight) -> None:
         if mask.any():
@@ -133,7 +133,7 @@ def _lost(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> 
     """Readings that jump to the lower end of the range and back, like those of a broken 4–20 mA loop."""
     sensor = getattr(config.sensors, signal)
     at_low = (values <= sensor.low + _half_step(sensor)) & ~_under_full_command(samples, signal)
-    lost, times = np.zeros(len(values), dtype=np.bool_), 0
+    lost, times = np.zeros(len(values), bool), 0
     beside = np.pad(values, 1, constant_values=np.inf)  # of nothing
     for begin, end in zip(*runs_of(at_low), strict=True):
         fall = min(beside[begin], beside[end + 1]) - sensor.low
@@ -153,7 +153,7 @@ def _saturated(values: Floats, samples: Sampled, signal: str, config: TaskConfig
 
 def _under_full_command(samples: Sampled, signal: str) -> Mask:
     """Samples in which the spool may be at the end of its stroke."""
-    return np.asarray((np.abs(samples.signals[COMMAND]) > 0.8) & (signal == "spool_position"))
+    return (np.abs(samples.signals[COMMAND]) > 0.8) & (signal == "spool_position")
 
 
 def _half_step(sensor: Sensor) -> float:

@@ -144,7 +144,7 @@ def _usual_step(stamps: Floats) -> float:
 
 def numbers_of(cells: pd.Series) -> Floats:
     """The values of cells; what is no number is NaN."""
-    return np.array(pd.to_numeric(cells, errors="coerce").to_numpy(np.float64, na_value=np.nan))
+    return np.array(pd.to_numeric(cells, errors="coerce").to_numpy(float, na_value=np.nan))
 
 
 def interpolated(time: Floats, own: Floats, values: Floats, longest: float = 0.0) -> Floats:
@@ -229,14 +229,14 @@ def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str 
             yield from _channels_of(f"{name}.{number}", part, stamps, unit)
     elif isinstance(value, dict):
         fields = {key.lower(): part for key, part in value.items()}
-        times = [np.ravel(fields[key]).astype(np.float64) for key in TIMES if _are_numbers(fields.get(key))]
+        times = [np.ravel(fields[key]).astype(float) for key in TIMES if _are_numbers(fields.get(key))]
         stamps = times[0] if times else stamps
         unit = str(fields.get("unit", fields.get("units", unit)))
         for key, part in value.items():
             if key.lower() not in TIMES:
                 yield from _channels_of(name if key.lower() in CONTENTS else f"{name}.{key}", part, stamps, unit)
     elif _are_numbers(value):
-        table = value.astype(np.float64).reshape(len(value), -1)
+        table = value.astype(float).reshape(len(value), -1)
         if stamps is None and 1 < table.shape[0] < table.shape[1] and (np.diff(table[0]) > 0.0).all():
             stamps, table = table[0], table[1:].T  # To File has the time in the first row
         for number, column in enumerate(table.T, 1):

@@ -77,7 +77,7 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     held_back = []
     for number, windows in enumerate(cuts):
         if number not in apart:
-            held = np.zeros(len(windows), dtype=np.bool_) if apart else _with_motion(windows)
+            held = np.zeros(len(windows), bool) if apart else _with_motion(windows)
             if held.any():
                 held_back.append(_as_stretch(number, windows.part(held), LONGEST_HELD_BACK))
             if not held.all():
@@ -198,7 +198,7 @@ def _with_motion(windows: Windows) -> Mask:
     It has HELD_BACK_SHARE of the windows, and at most MOST_TRAVEL of the travel. Without such a stretch it is the last.
     """
     count = len(windows)
-    chosen = np.zeros(count, dtype=np.bool_)
+    chosen = np.zeros(count, bool)
     if count < 2:
         return chosen
     span = float(windows.end[0] - windows.begin[0])

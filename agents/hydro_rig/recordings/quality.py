@@ -282,4 +282,4 @@ def _spool_after_commands(signals: Floats, config: TaskConfig) -> tuple[float, f
 def _means(values: Floats, step: int) -> Floats:
     """Means over consecutive groups of samples, (…, T // step), of values (…, T)."""
     count = values.shape[-1] // step
-    return np.asarray(values[..., : count * step].reshape(*values.shape[:-1], count, step).mean(axis=-1))
+    return values[..., : count * step].reshape(*values.shape[:-1], count, step).mean(axis=-1)

@@ -159,7 +159,7 @@ def _time_of(time: Floats, given: bool | float, source: str, findings: Findings)
         )
     what = f"is taken as equidistant, one row every {1e3 * distance:.4g} ms, as the map says"
     findings.append(Finding("time", what))
-    return np.asarray((time[known][0] if known.any() else 0.0) + distance * np.arange(len(time)), np.float64)
+    return np.asarray((time[known][0] if known.any() else 0.0) + distance * np.arange(len(time)), float)
 
 
 def _numbers(cells: pd.Series, signal: str, first_line: int, findings: Findings) -> Floats:

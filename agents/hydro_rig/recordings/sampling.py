@@ -195,7 +195,7 @@ def bridged(samples: Sampled) -> tuple[Sampled, Findings]:
     at = np.searchsorted(place, samples.place)
 
     signals = _spread(samples.signals, at, len(place))
-    filled = np.zeros(len(place), dtype=np.bool_)
+    filled = np.zeros(len(place), bool)
     for begin, end in zip(*runs_of(np.isnan(signals[COMMAND])), strict=True):
         inside = begin > 0 and end < len(place) and end - begin <= LONGEST_FILL
         filled[begin:end] = inside and place[end] - place[begin - 1] == end - begin + 1
@@ -231,7 +231,7 @@ def likely_commands(signals: Floats, filled: Mask) -> Floats:
             columns += [np.roll((whole - whole.mean()) / scale, by) for by in (-3, -2, -1, 1, 2, 3)]
     around = np.column_stack(columns)
     weights, *_ = np.linalg.lstsq(around[sure], signals[COMMAND, sure], rcond=None)
-    return np.asarray(np.clip(around[filled] @ weights, -1.0, 1.0), np.float64)
+    return np.clip(around[filled] @ weights, -1.0, 1.0)
 
 
 def cut(samples: Sampled, length: int) -> Windows:
@@ -248,13 +248,13 @@ def cut(samples: Sampled, length: int) -> Windows:
 
     signals = np.stack([cut_out(values) for values in samples.signals], axis=1)
     auxiliary = {name: cut_out(values) for name, values in samples.auxiliary.items()}
-    begin = np.asarray(chosen * length * samples.period, dtype=np.float64)
+    begin = np.asarray(chosen * length * samples.period, float)
     return Windows(signals, begin, begin + length * samples.period, auxiliary)
 
 
 def _places(time: Floats, distance: float) -> tuple[Indices, float]:
     """Number of row distances since the first row, (n,), and the jitter of the stamps in s, 95 % quantile."""
-    place, off = np.zeros(len(time), dtype=np.int64), np.zeros(len(time))
+    place, off = np.zeros(len(time), np.int64), np.zeros(len(time))
     clock, count = float(time[0]), 0
     for row, stamp in enumerate(time[1:].tolist(), 1):
         jump = max(round((stamp - clock) / distance), 1)

@@ -78,7 +78,7 @@ def record_axis(
     failed = bool(run.failed_at[0] >= 0)
     rows = int(run.failed_at[0]) + 1 if failed else config.steps
     duration = rows * config.control_period
-    time = np.arange(rows, dtype=np.float64) * config.control_period
+    time = np.arange(rows, dtype=float) * config.control_period
     write_text(path, recording_csv(time, signals[0, :, :rows], note))
     return Recorded(rows, duration, float(run.leakage_flow_lpm[0]), duration if failed else None)
 
@@ -91,7 +91,7 @@ def recording_csv(time: Floats, signals: Floats, note: str = "") -> str:
         if np.isfinite(values[name]).any():
             table[heading(name)] = values[name] / factor(name, WRITTEN_UNITS[name], name)
     comment = f"# {' '.join(note.split())}\n" if note else ""
-    text: str = table.to_csv(index=False, float_format=_FORMAT, lineterminator="\n")
+    text = table.to_csv(index=False, float_format=_FORMAT, lineterminator="\n")
     return comment + text
 
 

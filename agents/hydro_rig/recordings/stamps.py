@@ -50,7 +50,7 @@ def time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
     if stamps.isna().mean() > 0.5:
         return None, 0.0
     first = stamps.dropna().iloc[0]
-    seconds: Floats = (stamps - first).dt.total_seconds().to_numpy(dtype=np.float64).copy()
+    seconds = (stamps - first).dt.total_seconds().to_numpy(float).copy()
     return seconds, float(first.timestamp())
 
 

@@ -53,7 +53,7 @@ def growth(
     standard deviation of an error that all readings share, decades; ``now``: from which on the trend looks ahead;
     default: the last time.
     """
-    when, what, sigma = (np.asarray(values, dtype=np.float64) for values in (time, size, deviation))
+    when, what, sigma = (np.asarray(values, float) for values in (time, size, deviation))
     root = np.hypot(what, 0.02 * limit)
     y, error = np.log10(0.5 * (what + root)), np.hypot(sigma / root / np.log(10.0), LEAST_ERROR)
     kept = np.flatnonzero(np.isfinite(what) & np.isfinite(sigma))[-MOST:]
@@ -79,7 +79,7 @@ def growth(
 
 def _usual(x: Floats, y: Floats, error: Floats) -> Mask:
     """Readings that are not far from the line through their neighbours (Theil and Sen: medians of slope and level)."""
-    everyone = np.ones(len(x), dtype=np.bool_)
+    everyone = np.ones(len(x), bool)
     if len(x) <= NEIGHBOURS:
         return everyone
     own, (one, two) = np.arange(len(x))[:, None], np.triu_indices(NEIGHBOURS, 1)

@@ -65,7 +65,7 @@ def _cells(one: AxisTrend) -> list[str]:
 
 def _sizes(one: AxisTrend) -> Floats:
     """Sizes with the ends of their intervals on the scale of the figure, (readings, 3)."""
-    return one.rows[["size_40", "low_40", "high_40"]].clip(LOWEST, HIGHEST).to_numpy(dtype=np.float64)
+    return one.rows[["size_40", "low_40", "high_40"]].clip(LOWEST, HIGHEST).to_numpy(float)
 
 
 def draw_axis(axes: Axes, one: AxisTrend) -> None:

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pandas as pd
 
 from hydro_env import ConfigurationError
@@ -96,7 +95,7 @@ def read_table(path: Path) -> pd.DataFrame:
         if missing := [name for name in COLUMNS if name not in table]:
             raise ValueError(f"has no column '{missing[0]}'")
         table = table.fillna(dict.fromkeys(TEXTS, ""))
-        table[list(NUMBERS)] = table[list(NUMBERS)].astype(np.float64)
+        table[list(NUMBERS)] = table[list(NUMBERS)].astype(float)
         seconds(table["time"]), seconds(table["until"])
         if not set(table["verdict"]) <= set(Kind) or (table[["axis", "file"]] == "").any(axis=None):
             raise ValueError("an axis, a file or a verdict is missing")
@@ -130,4 +129,4 @@ def stamp(time: float) -> str:
 def seconds(stamps: pd.Series) -> Floats:
     """Seconds since 1970 of ``2026-10-03T08:00:00`` or ``2026-10-03``; ValueError: a text is no date."""
     when = pd.to_datetime(stamps, utc=True, format="ISO8601")
-    return (when - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=np.float64)
+    return (when - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(float)

@@ -168,8 +168,8 @@ def trend_of(name: str, rows: pd.DataFrame, axis: Axis, error: str, now: float |
 
 def _growth(rows: pd.DataFrame, limit: float, oil: Oil, now: float) -> Growth:
     """The growth in days. A part of the readings' usual error is common to all: they share thermometer and plant."""
-    size = rows["size_40"].to_numpy(dtype=np.float64)
-    deviation = (rows["high_40"] - rows["low_40"]).to_numpy(dtype=np.float64) / (2.0 * HALF_WIDTH)
+    size = rows["size_40"].to_numpy(float)
+    deviation = (rows["high_40"] - rows["low_40"]).to_numpy(float) / (2.0 * HALF_WIDTH)
     shared = common_error(oil, float(rows["temperature"].median()))
     own = np.sqrt(np.maximum(deviation**2 - (np.log(10.0) * shared * size) ** 2, 0.0))
     relative = own[size > 0.0] / size[size > 0.0] / np.log(10.0)

@@ -37,7 +37,7 @@ class Law(NamedTuple):
 
     def value(self, flow_lpm: Any) -> Any:
         """The parameter of a leak in l/min at 100 bar, a number or an array; may be negative."""
-        flow = np.asarray(flow_lpm, dtype=float) * LITRE_PER_MINUTE
+        flow = np.asarray(flow_lpm, float) * LITRE_PER_MINUTE
         with np.errstate(divide="ignore"):
             value = self.at_test / flow if self.resists else flow / self.at_test
         return value if np.ndim(value) else float(value)
