@@ -224,7 +224,7 @@ def _mapping(values: Any, path: str | Path) -> ByName:
     return values
 
 
-def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
+def write_yaml(path: str | Path, values: ByName) -> None:
     """Write a mapping as YAML, whole or not at all."""
     write_text(path, yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True))
 

@@ -77,7 +77,7 @@ class ResetOptions:
         """Release the options after an episode has begun on these axes."""
         self._fix({}, axes)
 
-    def _fix(self, values: Mapping[str, Any], axes: Indices) -> None:
+    def _fix(self, values: ByName, axes: Indices) -> None:
         """Set these fields of :class:`Fixed` on some axes; all others are drawn."""
         for name, fixed in self.fixed._asdict().items():
             drawn: Any = -1 if fixed.dtype == np.int64 else np.nan
@@ -87,7 +87,7 @@ class ResetOptions:
             if value is not None:
                 fixed[axes] = value
 
-    def set(self, options: Mapping[str, Any] | list[Any] | None, axes: Indices) -> None:
+    def set(self, options: ByName | list[Any] | None, axes: Indices) -> None:
         """Fix parts of the next episode of some axes; see ``ServoHydraulicEnv.reset``. A list has one entry per axis.
 
         Raises:

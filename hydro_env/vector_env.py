@@ -185,8 +185,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         self._ended = terminated | truncated
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._ended.any():
             final = self._finish()
-        info = self._info(self._everyone) | final
-        return self._axes.observation.copy(), reward, terminated, truncated, info
+        return self._axes.observation.copy(), reward, terminated, truncated, self._info(self._everyone) | final
 
     def _finish(self) -> Info:
         """Restart the axes that ended in this step; returns their last observation and info."""

@@ -45,8 +45,7 @@ def softest_position(parameters: PlantParameters) -> float:
 
 def leak_at_test_pressure(parameters: PlantParameters) -> float:
     """Internal leakage in l/min at 100 bar across the piston: seal and throttle together."""
-    c = plant_coefficients(parameters)
-    return internal_leakage(LEAKAGE_TEST_PRESSURE, 0.0, c) / LITRE_PER_MINUTE
+    return internal_leakage(LEAKAGE_TEST_PRESSURE, 0.0, plant_coefficients(parameters)) / LITRE_PER_MINUTE
 
 
 class Limits(NamedTuple):

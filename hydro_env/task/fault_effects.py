@@ -7,26 +7,14 @@ import numpy as np
 from hydro_env.compiling import inline
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parts.leakage import ROD_SEAL
-from hydro_env.task.faults import FAULT_KINDS, FAULTS, Fault
+from hydro_env.task.faults import FAULT_KINDS, FAULTS, Fault, faults_of
 from hydro_env.task.random_numbers import between, uniform
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.settings import choice
 from hydro_env.units import LITRE_PER_MINUTE
 
 NULL_SHIFT, UNDERLAP, FLOW, HYSTERESIS, TANK, EXTERNAL_LEAK, OFFSET, GAIN, FREEZE, DROPOUT = (
-    FAULTS.index(name)
-    for name in (
-        "valve_null_shift",
-        "valve_underlap",
-        "valve_flow",
-        "valve_hysteresis",
-        "tank_pressure",
-        "external_leak",
-        f"{CHANNELS[0]}_offset",
-        f"{CHANNELS[0]}_gain",
-        f"{CHANNELS[0]}_freeze",
-        f"{CHANNELS[0]}_dropout",
-    )
+    FAULTS.index(faults_of(kind)[0]) for kind in FAULT_KINDS
 )
 """Index of each fault in the record; those of the other sensors follow the first sensor's."""
 

@@ -6,7 +6,6 @@
 import math
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ BANDWIDTH = 502.654824574367  # rad/s; 80 Hz
 LARGEST_LAP = 0.4  # of full stroke, that a flow curve gives: its range ends below half a stroke
 WORST_FIT = 0.1  # of full flow: largest difference to a point of a flow curve
 
-Figures = Mapping[str, Any]  # numbers in SI, and texts, by the keys of the questions
+Figures = ByName  # numbers in SI, and texts, by the keys of the questions
 
 FIELDS = {
     "bore": "cylinder.bore_diameter",
@@ -282,7 +281,7 @@ def _supply(figures: Figures) -> ByName:
     return supply | {"model": "accumulator"} | gas
 
 
-def _ranges(figures: Figures, values: Mapping[str, Mapping[str, Any]]) -> ByName:
+def _ranges(figures: Figures, values: Mapping[str, ByName]) -> ByName:
     """The distributions of the uncertain values; what is given has a narrower one, or none."""
     ranges = dict(RANGES)
     if "dead_volume" in figures:

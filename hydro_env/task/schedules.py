@@ -14,14 +14,9 @@ from hydro_env.task.reference_signals import supply_forces
 from hydro_env.task.settings import choice
 from hydro_env.units import LITRE_PER_MINUTE
 
-_CONSTANT = choice(LeakageDraw, "schedule", "constant")
-_ONSET = choice(LeakageDraw, "schedule", "onset")
-_MIXED_SCHEDULE = choice(LeakageDraw, "schedule", "mixed")
+_CONSTANT, _ONSET, _MIXED_SCHEDULE = (choice(LeakageDraw, "schedule", name) for name in ("constant", "onset", "mixed"))
 _SCHEDULES = 3.0  # constant, onset, growth come before "mixed"
-_NONE = choice(Disturbance, "kind", "none")
-_PULSE = choice(Disturbance, "kind", "pulse")
-_SINE = choice(Disturbance, "kind", "sine")
-_MIXED = choice(Disturbance, "kind", "mixed")
+_NONE, _PULSE, _SINE, _MIXED = (choice(Disturbance, "kind", name) for name in ("none", "pulse", "sine", "mixed"))
 _CHANGING = 3.0  # kinds of a changing force: step, pulse, sine, in this order after "none"
 
 _LAWS = tuple(LEAK_LAWS[name] for name in get_args(LeakLaw))

@@ -14,7 +14,7 @@ from hydro_env.task.record import RECORD, table
 from hydro_env.task.sensors import CHANNEL_UNITS, CHANNELS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import POSITION, PRESSURE_A, PRESSURE_B, layout_of, observation_layout
-from hydro_env.types import Mask
+from hydro_env.types import ByName, Mask
 from hydro_env.units import FULL_VOLTAGE
 
 OUT_OF_RANGE = 0.025  # share of its range by which a signal may lie outside; beyond (of 4–20 mA below 3.6), it is lost
@@ -97,7 +97,7 @@ class OwnLoop:
         self._record["command"] = command
         return FULL_VOLTAGE * command
 
-    def _read(self, reference: Any, measured: dict[str, Any]) -> Mask:
+    def _read(self, reference: Any, measured: ByName) -> Mask:
         """Write a sample into the record, in SI units; whether each fitted sensor, and the reference, are present."""
         wanted = np.atleast_1d(np.asarray(reference, float)) * self._units[POSITION]  # None becomes NaN
         if not measured.keys() <= CHANNEL_UNITS.keys() or wanted.shape not in ((1,), (len(self._places),)):

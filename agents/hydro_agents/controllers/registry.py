@@ -5,7 +5,6 @@ A file of gains holds each with its unit, and as an engineer enters it in a PLC.
 
 import inspect
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import at, reason
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.mistakes import unknown
+from hydro_env.types import ByName
 from hydro_env.units import FULL_VOLTAGE
 
 CONTROLLERS: dict[str, tuple[type[ClassicalController], type[Group]]] = {
@@ -52,7 +52,7 @@ def kind_of(controller: ClassicalController) -> str:
     return kinds[type(controller)]
 
 
-def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] | None = None) -> Controller:
+def make_controller(kind: str, config: TaskConfig, settings: ByName | None = None) -> Controller:
     """A controller for a task.
 
     Args:
@@ -128,7 +128,7 @@ def gains_text(gains: Group, note: str = "") -> str:
     return "\n".join(lines) + "\n"
 
 
-def controller_with_gains(values: Mapping[str, Any], config: TaskConfig) -> Controller:
+def controller_with_gains(values: ByName, config: TaskConfig) -> Controller:
     """The classical controller with these gains; their names identify it.
 
     Raises:

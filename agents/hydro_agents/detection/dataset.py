@@ -154,8 +154,7 @@ def simulated(
     acting: Any = ACTING[chunk.acting](task, count, int(seeds[0])) if chunk.acting else controller
     moves = None
     if chunk.disturbed:
-        kinds = generator.choice(list(DISTURBANCES), count)
-        moves = drawn(generator, kinds, steps, config.control_period)
+        moves = drawn(generator, generator.choice(list(DISTURBANCES), count), steps, config.control_period)
         acting = Disturbed(acting, moves)
 
     measured, run = measured_run(task, acting, Cases(seeds, scale * leaks, faults=faults))

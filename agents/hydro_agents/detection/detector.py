@@ -139,8 +139,7 @@ class Windows:
 
     def auxiliary_signal(self, name: str) -> Floats:
         """One of :data:`AUXILIARY`, (N, T); NaN: not recorded."""
-        absent = np.full((len(self), self.samples), np.nan)
-        return self.auxiliary.get(name, absent)
+        return self.auxiliary.get(name, np.full((len(self), self.samples), np.nan))
 
     @property
     def commanded(self) -> Mask:
@@ -216,8 +215,7 @@ def measured_run(config: TaskConfig, controller: Controller, cases: Cases) -> tu
 
 def cut(runs: Array, begins: Array, samples: int) -> Array:
     """Windows (N, C, samples) of runs (N, C, T), each from a sample of its own on."""
-    windows = sliding_window_view(runs, samples, axis=2)
-    return windows[np.arange(len(runs)), :, begins]
+    return sliding_window_view(runs, samples, axis=2)[np.arange(len(runs)), :, begins]
 
 
 class Reading(NamedTuple):

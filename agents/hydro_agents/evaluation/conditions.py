@@ -7,7 +7,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -36,7 +36,7 @@ class Cell:
     table: str  # of its rows, one of the protocol's ``parts``
     participant: str
     condition: str
-    known: Mapping[str, Any] = field(default_factory=dict)  # first columns of its rows: one value, or one per row
+    known: ByName = field(default_factory=dict)  # first columns of its rows: one value, or one per row
     jobs: tuple[Job, ...] = ()  # their columns follow each other
     refused: str = ""
 

@@ -13,6 +13,7 @@ from hydro_agents.detection.detector import Cause, threshold_at_false_alarm_rate
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.evaluation.runner import Results, Rows, table
 from hydro_agents.running.statistics import Interval, share_interval
+from hydro_env.types import ByName
 
 FALSE_ALARM_RATE = 0.01
 
@@ -50,8 +51,7 @@ def judged(windows: pd.DataFrame, thresholds: pd.DataFrame) -> pd.DataFrame:
     (its number).
     """
     windows = windows[windows["failed"] == 0.0]
-    known = thresholds.set_index("detector")
-    score, thresholds = windows["score"].to_numpy(), known.loc[windows["detector"]]
+    score, thresholds = windows["score"].to_numpy(), thresholds.set_index("detector").loc[windows["detector"]]
     flagged = score >= thresholds["used"].to_numpy()  # NaN is above nothing
     at_1_percent = score >= thresholds["at_1_percent"].to_numpy()
     verdict = np.where(flagged, float(Cause.INTERNAL_LEAK), windows["otherwise"].to_numpy())
@@ -68,7 +68,7 @@ def share(values: Any) -> Interval:
 _CELL = ["detector", "condition", "level"]
 
 
-def _cells(results: Results) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
+def _cells(results: Results) -> Iterator[tuple[ByName, pd.DataFrame]]:
     found = results.table("windows")
     if len(found):
         for key, frame in found.groupby(_CELL, sort=False):
@@ -110,7 +110,7 @@ def sizes(results: Results) -> Rows:
         yield row
 
 
-def _errors_of_size(frame: pd.DataFrame, level: float) -> dict[str, Any]:
+def _errors_of_size(frame: pd.DataFrame, level: float) -> ByName:
     """Windows of one cell: errors of their sizes, and how often the interval holds the truth."""
     told = frame[frame["flow_lpm"].notna()]
     truth, estimate = told["leak_lpm"].to_numpy(), told["flow_lpm"].to_numpy()
@@ -121,6 +121,5 @@ def _errors_of_size(frame: pd.DataFrame, level: float) -> dict[str, Any]:
         row["median_error_lpm"] = np.median(np.abs(estimate - truth))
         if level != HEALTHY:
             row["rms_log10"] = np.sqrt(np.mean(decades**2))
-    has = ~np.isnan(low)
-    row |= share(((low <= truth) & (truth <= high))[has]).named("coverage")
+    row |= share(((low <= truth) & (truth <= high))[~np.isnan(low)]).named("coverage")
     return row

@@ -65,8 +65,7 @@ def paired(levels: Sequence[float], families: Sequence[str], plants: int, seeds:
     """
     rows = product(levels, families, range(plants))
     table = pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant"])
-    numbers = table["family"].map(REFERENCE_FAMILIES.index)
-    return table.assign(seed=seeds.of_family(numbers, table["plant"]))
+    return table.assign(seed=seeds.of_family(table["family"].map(REFERENCE_FAMILIES.index), table["plant"]))
 
 
 class PairedCases(Group):

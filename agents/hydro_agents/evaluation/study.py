@@ -121,14 +121,12 @@ class StudySettings(Group):
         with kept(errors):
             if "task" in values:
                 values["task"] = read_task(values.pop("task"), file)
-        for key in ("leakage_head", "evaluation"):
-            if isinstance(values.get(key), str):
+        files = [(values, "leakage_head"), (values, "evaluation")]
+        files += [(entry, "settings") for entry in mappings(values.get("controllers")).values()]
+        for group, key in files:
+            if isinstance(group.get(key), str):
                 with kept(errors):
-                    values[key] = read_yaml(file.parent / values.pop(key))
-        for entry in mappings(values.get("controllers")).values():
-            if isinstance(entry.get("settings"), str):
-                with kept(errors):
-                    entry["settings"] = read_yaml(file.parent / entry.pop("settings"))
+                    group[key] = read_yaml(file.parent / group.pop(key))
         with kept(errors):
             study = validate(cls, values, path)
         refuse(errors, path)

@@ -24,7 +24,7 @@ from matplotlib.transforms import ScaledTranslation
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, number, setting
 from hydro_env.files import write_whole
-from hydro_env.types import Floats
+from hydro_env.types import ByName, Floats
 
 Tables = Mapping[str, pd.DataFrame]  # of a run, by the names of their CSV files
 Panels = Axes | Sequence[Axes]  # of one figure
@@ -149,14 +149,13 @@ class Page:
         box = '<div class="scroll" tabindex="0" role="region" aria-label="{}">{}</div>'
         self._add(box, caption or "Table", Markup(style.to_html(cell_ids=False)))
 
-    def facts(self, facts: Mapping[str, Any]) -> None:
+    def facts(self, facts: ByName) -> None:
         """A table of names and values."""
         self.table(pd.DataFrame({"value": pd.Series(facts, dtype=object)}), words=True)
 
     def figure(self, axes: Panels, title: str, note: str = "") -> None:
         """A figure by its panels; ``note`` says how to read it, the title is its alternate text."""
-        figure = figure_of(axes)
-        wide = "wide" if figure.get_figwidth() > NARROW else ""
+        wide = "wide" if figure_of(axes).get_figwidth() > NARROW else ""
         self._add('<figure class="{}"><figcaption><strong>{}</strong> {}</figcaption>', wide, title, note)
         self._parts.append(f'<div class="scroll">{inline_svg(axes, f"f{len(self._parts)}-", title)}</div></figure>')
 
@@ -313,7 +312,7 @@ def draw(
             low, high = factor * own[[f"{value}_low", f"{value}_high"]].to_numpy(float).T
             lengths = np.nan_to_num(np.maximum([middle - low, high - middle], 0.0))
         shift = apart / 72.0 * (index - 0.5 * (len(names) - 1))
-        style: dict[str, Any] = {"label": name}
+        style: ByName = {"label": name}
         if own.empty:
             style["label"] = "_none"
         if in_rows:

@@ -124,8 +124,7 @@ def _geometry(parameters: PlantParameters) -> list[Row]:
     ]
     for position in (-half, 0.0, half):
         for name, volume in zip("ab", chamber_volumes(parameters, position), strict=True):
-            at = place_text(position)
-            rows.append((f"oil in chamber {name}", at, volume / CUBIC_CENTIMETRE, "cm³"))
+            rows.append((f"oil in chamber {name}", place_text(position), volume / CUBIC_CENTIMETRE, "cm³"))
     return rows
 
 

@@ -99,5 +99,4 @@ def bode_frequencies(loop: SampledLoop) -> Floats:
     values, highest = np.linalg.eigvals(loop.transition), HIGHEST / loop.control_period
     poles = np.log(values[values.imag > 0.0])[:, None] / (2.0 * np.pi * loop.control_period)
     near = poles.imag - poles.real * np.sinh(np.linspace(-6.0, 6.0, 60))  # from a tenth of its half width on
-    inside = near[(near > LOWEST) & (near < highest)]
-    return np.sort([*np.geomspace(LOWEST, highest, 600), *inside])
+    return np.sort([*np.geomspace(LOWEST, highest, 600), *near[(near > LOWEST) & (near < highest)]])

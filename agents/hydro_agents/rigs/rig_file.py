@@ -9,6 +9,7 @@ from hydro_env.plant.parameters import PARAMETER_UNITS
 from hydro_env.task.nameplates import FIELDS, curve_fit, lap_and_knee, position_error, rig_values
 from hydro_env.task.rig import Rig, rig_from
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
+from hydro_env.types import ByName
 from hydro_env.units import FACTORS, UNITS, in_si, split_quantity
 
 SIGNAL = "V or A"  # unit of the question whose answer is a voltage or a current
@@ -136,7 +137,7 @@ def parsed(question: Question, text: str) -> float | str:
     return number
 
 
-def answers_from(texts: Mapping[str, str]) -> dict[str, Any]:
+def answers_from(texts: Mapping[str, str]) -> ByName:
     """The figures of a rig (:func:`~hydro_env.task.nameplates.rig_values`), from the texts of the answers by key.
 
     Raises:
@@ -154,7 +155,7 @@ def answers_from(texts: Mapping[str, str]) -> dict[str, Any]:
     return figures
 
 
-def written_answers(figures: Mapping[str, Any]) -> dict[str, str]:
+def written_answers(figures: ByName) -> dict[str, str]:
     """The figures of a rig by key, as people write them."""
     examples = {question.key: question.example for question in QUESTIONS}
     examples |= {"full_voltage": "10 V", "full_current": "40 mA"}
@@ -269,7 +270,7 @@ def unit_in_file(path: str) -> str:
     return SHOWN_IN.get(path, "" if usual.startswith("1") else usual)
 
 
-def new_rig(figures: Mapping[str, Any], source: str) -> tuple[str, Rig]:
+def new_rig(figures: ByName, source: str) -> tuple[str, Rig]:
     """The text of a rig's file, and the rig that it describes.
 
     Args:

@@ -15,13 +15,12 @@ from hydro_env.errors import at, reason
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import State
 from hydro_env.task.drawn_rigs import rig_tasks
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.signals import POSITION
 from hydro_env.types import Array, ByName, Floats, Indices, Mask, Singles
 
 _SPOOL = State._fields.index("spool_position")
 _SUPPLY_PRESSURE = State._fields.index("supply_pressure")
 _SUPPLY_FLOW = Derived._fields.index("supply_flow")
-_POSITION = CHANNELS.index("position")
 _TRACES = ("position", "command", "spool", "supply_power", "reward")
 
 
@@ -161,7 +160,7 @@ def run_cases(
         signals = np.zeros((steps, count, len(signal_columns)), dtype=np.float32)
     failed_at = np.full(count, -1)
     flow = axes.column("leak_flow").copy()
-    bias = axes.column("bias")[:, _POSITION].copy()
+    bias = axes.column("bias")[:, POSITION].copy()
     for step in range(steps):
         alive = failed_at < 0
         if signals is not None:

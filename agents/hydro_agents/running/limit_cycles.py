@@ -4,8 +4,7 @@ With sensor noise every stiff loop moves a little, which looks like a limit cycl
 noise: a small step of the reference and back excites it, then it must come to rest.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,7 +15,7 @@ from hydro_agents.running.seeds import SeedRange
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
-from hydro_env.types import Array, Floats
+from hydro_env.types import Array, ByName, Floats
 
 LEAST_CYCLES = 3  # smallest number of cycles in the evaluated time; a slower motion is drift
 LASTING = 0.5  # an oscillation whose last third has less than this share of its amplitude is decaying
@@ -118,12 +117,12 @@ def counted_at_rest(
     return counted(rows) | {"ringing": int((rows["amplitude_um"] > loud).sum())}
 
 
-def comes_to_rest(counts: Mapping[str, Any]) -> bool:
+def comes_to_rest(counts: ByName) -> bool:
     """Whether all standstills of :func:`counted` are without a limit cycle and without a failure."""
     return bool(counts["limit_cycles"] == 0 and counts["failures"] == 0)
 
 
-def rest_text(counts: Mapping[str, Any]) -> str:
+def rest_text(counts: ByName) -> str:
     """What :func:`counted` found, as a phrase: limit cycle at 14 of 16 standstills, up to 7.9 mm."""
     places, parts = f"of {counts['standstills']} standstills", []
     if counts["limit_cycles"]:
@@ -135,7 +134,7 @@ def rest_text(counts: Mapping[str, Any]) -> str:
     return " and ".join(parts) or f"no limit cycle at {places.removeprefix('of ')}"
 
 
-def rest_warning(controller: str, counts: Mapping[str, Any], baseline: bool) -> str:
+def rest_warning(controller: str, counts: ByName, baseline: bool) -> str:
     """One line about a controller that does not come to rest; empty for one that does."""
     if comes_to_rest(counts):
         return ""

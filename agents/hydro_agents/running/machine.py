@@ -48,8 +48,7 @@ CODE = (":/", ":(top,exclude)docs", ":(top,exclude)*.md")  # of the repository; 
 @functools.cache
 def commit() -> str:
     """Commit of the sources, plus "with changes" if more than pages differ; empty for a package without sources."""
-    folder = Path(hydro_env.__file__).parent
-    git = ["git", "-C", str(folder)]
+    git = ["git", "-C", str(Path(hydro_env.__file__).parent)]
     try:
         subprocess.run([*git, "ls-files", "--error-unmatch", "version.py"], check=True, capture_output=True)
         name = subprocess.run([*git, "rev-parse", "--short", "HEAD"], check=True, capture_output=True, text=True)

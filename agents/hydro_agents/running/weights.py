@@ -20,7 +20,7 @@ CHECKPOINT_VERSION, WEIGHTS_VERSION = 1, 2
 _DESCRIPTION, _DIGEST = "description", "digest"
 
 
-def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mapping[str, Any]) -> Path:
+def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: ByName) -> Path:
     """Write ``path``.safetensors and ``path``.json, each atomically; the JSON holds a digest of both, and the settings.
 
     A suffix ``.safetensors`` or ``.json`` of the path is removed; any other dot belongs to the name.
@@ -74,7 +74,7 @@ def weight_files(path: str | Path) -> tuple[Path, Path]:
     return path.with_name(f"{name}.safetensors"), path.with_name(f"{name}.json")
 
 
-def save_checkpoint(path: Path, kind: str, tensors: Tensors, description: Mapping[str, Any]) -> None:
+def save_checkpoint(path: Path, kind: str, tensors: Tensors, description: ByName) -> None:
     """Write arrays and their description (JSON) into one safetensors file, which keeps them together.
 
     Raises:
@@ -108,7 +108,7 @@ def _digest(tensors: Tensors) -> NDArray[np.uint8]:
     return np.frombuffer(hashlib.sha256(_packed(tensors)).digest(), dtype=np.uint8)
 
 
-def digest_of_weights(content: bytes, settings: Mapping[str, Any]) -> str:
+def digest_of_weights(content: bytes, settings: ByName) -> str:
     """Digest of the file of tensors and of the settings, whatever the layout of their JSON."""
     text = json.dumps(json.loads(json.dumps(settings)), sort_keys=True)
     return hashlib.sha256(hashlib.sha256(content).digest() + text.encode()).hexdigest()
@@ -173,8 +173,7 @@ def restored(like: Any, arrays: Tensors, name: str) -> Any:
         parts = {key: restored(part, arrays, f"{name}.{key}") for key, part in _parts(like).items()}
         if isinstance(like, Mapping):
             return parts
-        make = getattr(like, "_make", tuple)
-        return make(parts.values())
+        return getattr(like, "_make", tuple)(parts.values())
     if hasattr(like, "new_tensor"):
         return like.new_tensor(arrays[name])
     return arrays[name].view(like.dtype).reshape(like.shape).copy()

@@ -46,8 +46,7 @@ class Leak(NamedTuple):
     def text(self) -> str:
         """``1.02 [0.98, 1.06] l/min at 100 bar``; the width of the interval sets the number of decimals."""
         decimals = min(decimals_for(self.high - self.low, 2), 4)
-        parts = (number(part, decimals) for part in self.positive)
-        return "{} [{}, {}] l/min at 100 bar".format(*parts)
+        return "{} [{}, {}] l/min at 100 bar".format(*(number(part, decimals) for part in self.positive))
 
 
 NO_LEAK = Leak(np.nan, np.nan, np.nan)  # no reading

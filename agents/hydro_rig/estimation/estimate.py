@@ -239,8 +239,7 @@ def timing_priors(config: TaskConfig) -> dict[str, Prior]:
 
 def _descend(problem: Problem, first: Floats, settings: EstimationSettings) -> Estimate:
     """Fit short and then longer beginnings of the windows roughly, then the whole windows to the lowest cost."""
-    scaled = _approach(problem, first, settings)
-    return assess(problem, *fit(problem, scaled, settings.effort))
+    return assess(problem, *fit(problem, _approach(problem, first, settings), settings.effort))
 
 
 def _approach(problem: Problem, first: Floats, settings: EstimationSettings) -> Floats:

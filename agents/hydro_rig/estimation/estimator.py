@@ -23,7 +23,7 @@ from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig, task_config
 from hydro_env.task.randomisation import own_value
-from hydro_env.types import Floats, Indices, Mask
+from hydro_env.types import ByName, Floats, Indices, Mask
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
 from hydro_rig.estimation.estimate import SURE, EstimationSettings, estimate
 from hydro_rig.estimation.result import Estimate
@@ -181,7 +181,7 @@ class EstimatorDetector:
             priors |= possible[part].priors
             names = (*names, *possible[part].priors)
             task = task_config(task, **possible[part].changes)
-        effort: dict[str, Any] = {"restarts": 0, "effort": self.settings.effort._replace(iterations=STEPS_WITH_PART)}
+        effort: ByName = {"restarts": 0, "effort": self.settings.effort._replace(iterations=STEPS_WITH_PART)}
         if not begin.holds[0]:
             return self._estimate(window, task, names, priors, **effort)
         return self._estimate(window, task, names, priors, (begin, np.array([0])), horizons=(), **effort)

@@ -229,6 +229,5 @@ class Model:
         the integrator's error, but within the region of probable values. Steps along single unknowns would leave that
         region, because some unknowns compensate each other.
         """
-        own = precision[:, self.simulated[:, None], self.simulated]
-        values, vectors = np.linalg.eigh(own)
+        values, vectors = np.linalg.eigh(precision[:, self.simulated[:, None], self.simulated])
         return vectors * (length / np.sqrt(np.clip(values, 1e-12, 1e12)))[:, None]  # beyond: rounding alone

@@ -7,11 +7,11 @@ likelihood, and then the next one. A window that is explained does not pay for t
 import math
 from collections.abc import Callable, Mapping
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.types import Mask
+from hydro_env.types import ByName, Mask
 from hydro_rig.estimation.result import SHORT, Estimate
 from hydro_rig.estimation.unknowns import Prior, course_of, prior_of
 
@@ -38,7 +38,7 @@ class Lacking(NamedTuple):
     """A part that the model of a rig lacks: the unknowns that it adds, and what changes in the task."""
 
     priors: Mapping[str, Prior]
-    changes: Mapping[str, Any] = {}
+    changes: ByName = {}
     least_gain: float = LEAST_GAIN
 
 

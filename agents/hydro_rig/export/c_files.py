@@ -11,17 +11,18 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from hydro_env import HydroError
+from hydro_env.types import ByName
 
 TEMPLATES = Path(__file__).parent / "templates"
 WARNINGS = ("-Wall", "-Wextra", "-Werror")
 
 
-def c_code(name: str, values: Mapping[str, Any], template: str = "") -> dict[str, str]:
+def c_code(name: str, values: ByName, template: str = "") -> dict[str, str]:
     """The files ``NAME.c`` and ``NAME.h``, from the templates of this name, or of that of ``template``."""
     return {f"{name}.{kind}": render(f"{template or name}.{kind}.j2", values) for kind in ("c", "h")}
 
 
-def render(template: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> str:
+def render(template: str, values: ByName, folder: Path = TEMPLATES) -> str:
     """Text of a template of a folder; its filter ``c`` writes a number exactly, in C."""
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False)
     environment.filters["c"] = lambda value: c_number(float(value))
@@ -45,9 +46,7 @@ def c_compiler() -> str | None:
     return next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
 
 
-def compiled(
-    sources: Mapping[str, str], options: Sequence[str], compiler: Sequence[str] = (), folder: Path | None = None
-) -> bytes:
+def compiled(sources: Mapping[str, str], options: Sequence[str], folder: Path | None = None) -> bytes:
     """What a C compiler, by default that of this machine, makes of sources: texts by the names of their files.
 
     They and the result, a file ``out``, are written to a ``folder``, by default a temporary one.
@@ -57,17 +56,17 @@ def compiled(
     """
     if folder is None:
         with tempfile.TemporaryDirectory() as place:
-            return compiled(sources, options, compiler, Path(place))
+            return compiled(sources, options, Path(place))
     own = c_compiler()
-    if own is None and not compiler:
+    if own is None:
         raise HydroError("no C compiler found; install gcc or clang (the command is cc, gcc or clang)")
     for name, text in sources.items():
         (folder / name).write_text(text, encoding="utf-8")
     units = [name for name in sources if name.endswith(".c")]
-    command = [*(compiler or [str(own)]), "-std=c99", "-O2", *options, "-o", "out", *units, "-lm"]
+    command = [own, "-std=c99", "-O2", *options, "-o", "out", *units, "-lm"]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if result.returncode != 0:
-        raise HydroError(f"{'ziglang' if compiler else own}: {(result.stderr.splitlines() or ['failed'])[0]}")
+        raise HydroError(f"{own}: {(result.stderr.splitlines() or ['failed'])[0]}")
     return (folder / "out").read_bytes()
 
 
@@ -97,7 +96,7 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[float]]) -> str:
 
 
 def tested(
-    name: str, template: str, code: Mapping[str, str], vectors: str, values: Mapping[str, Any]
+    name: str, template: str, code: Mapping[str, str], vectors: str, values: ByName
 ) -> tuple[dict[str, bytes], str]:
     """The files of a folder by name: code, its test program, vectors as CSV, and a page; and what the program says.
 

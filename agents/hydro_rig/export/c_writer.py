@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydro_rig.export.c_files import c_number
-from hydro_rig.export.graph import KINDS, Graph, Node
+from hydro_rig.export.graph import KINDS, Graph, Kind, Node
 
 LONGEST = 120  # characters of the longest number that is written into the statement of another one
 
@@ -74,7 +74,7 @@ class Writer:
     prefix: str = ""  # of the names of tables, for a file that contains others
     tables: list[str] = field(default_factory=list)
     declared: list[str] = field(default_factory=list)  # where the language wants them first
-    work: dict[str, tuple[np.dtype[Any], int]] = field(default_factory=dict)  # there: arrays that several values share
+    work: dict[str, tuple[Kind, int]] = field(default_factory=dict)  # there: arrays that several values share
     _names: dict[Node, str] = field(default_factory=dict)
     _inside: set[Node] = field(default_factory=set)
 
@@ -136,7 +136,7 @@ class Writer:
         text = self.inputs[node.name] if node.operation == "input" else self._names[node]
         return text if node.size == 1 else f"{text}[{index}]"
 
-    def table(self, name: str, kind: np.dtype[Any], values: np.ndarray[Any, Any]) -> str:
+    def table(self, name: str, kind: Kind, values: np.ndarray[Any, Any]) -> str:
         """A declaration of constants."""
         numbers = [self.language.number(value).removeprefix("REAL#") for value in values]  # the array has the type
         rows = [", ".join(numbers[first : first + 8]) for first in range(0, len(numbers), 8)]
@@ -258,7 +258,7 @@ class Writer:
         return unique
 
 
-def declaration(language: Language, name: str, size: int, kind: np.dtype[Any]) -> str:
+def declaration(language: Language, name: str, size: int, kind: Kind) -> str:
     """A variable, or an array of a size."""
     text = language.variable if size == 1 else language.array
     return text.format(language.types[kind], name, size, size - 1)

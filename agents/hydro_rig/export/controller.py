@@ -19,7 +19,7 @@ from hydro_rig.export.block import Block
 from hydro_rig.export.c_files import c_code
 from hydro_rig.export.c_writer import Writer, declaration
 from hydro_rig.export.contract import OUTPUTS, BlockInput, MeasuredSignals, State
-from hydro_rig.export.graph import Graph, Node, in_order, in_single, needed
+from hydro_rig.export.graph import Graph, Kind, Node, in_order, in_single, needed
 from hydro_rig.export.tracing import TraceError, named, trace
 
 STARTED, CONTINUED = "started.", "continued."
@@ -58,7 +58,7 @@ class ControllerGraph:
         return self.block.signals
 
     @property
-    def real(self) -> np.dtype[Any]:
+    def real(self) -> Kind:
         """Type of its numbers."""
         return self.graph.inputs["output_limit"].kind
 

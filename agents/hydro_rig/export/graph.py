@@ -19,7 +19,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hydro_env.types import Array
 
 _UFUNCS = (
     np.add, np.subtract, np.multiply, np.divide, np.negative, np.absolute, np.sqrt, np.exp, np.log, np.power, np.tanh,
@@ -32,6 +33,7 @@ ELEMENTWISE |= dict.fromkeys((np.logical_not, np.invert), "not")
 """Name of the operation of each NumPy function that works element by element."""
 
 SCALED = "_scaled"  # ends the name of an entry of the observation, without unit; the same number in SI has none
+Kind = np.dtype[Any]  # of the numbers of a node
 KINDS = DOUBLE, SINGLE, *_ = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.int64, np.bool_))
 
 
@@ -42,8 +44,8 @@ class Node:
     operation: str
     operands: tuple[Node, ...]
     size: int
-    kind: np.dtype[Any]
-    table: NDArray[Any] | None = None  # values of a constant, indices of a collect
+    kind: Kind
+    table: Array | None = None  # values of a constant, indices of a collect
     sizes: tuple[int, int, int] = (1, 1, 1)  # of matmul and sum
     name: str = ""
     origin: str = ""  # its line of Python
@@ -138,7 +140,7 @@ class Builder:
     _made: dict[Any, Node] = field(default_factory=dict)
     _elements: list[tuple[Node, int]] = field(default_factory=list)  # of inputs, constants and results
 
-    def input(self, name: str, size: int, kind: np.dtype[Any]) -> Node:
+    def input(self, name: str, size: int, kind: Kind) -> Node:
         """A new input."""
         self.inputs[name] = self._numbered(Node("input", (), size, kind, name=name))
         return self.inputs[name]
@@ -148,13 +150,13 @@ class Builder:
         table = np.ascontiguousarray(values).reshape(-1)
         return self._once(Node("constant", (), table.size, table.dtype, table, name=name or "constant"))
 
-    def node(self, operation: str, operands: Sequence[Node], value: NDArray[Any], **details: Any) -> Node:
+    def node(self, operation: str, operands: Sequence[Node], value: Array, **details: Any) -> Node:
         """An operation; ``value`` is its result for the values of the trace."""
         if all(operand.operation == "constant" for operand in operands):
             return self.constant(value, details.get("name", ""))
         return self._once(Node(operation, tuple(operands), value.size, value.dtype, **details))
 
-    def collect(self, numbers: NDArray[Any], kind: np.dtype[Any], **details: Any) -> Node:
+    def collect(self, numbers: Array, kind: Kind, **details: Any) -> Node:
         """The node that holds some elements, by their numbers, (size,)."""
         pieces: list[tuple[Node, int]] = [self._elements[number] for number in numbers]
         firsts = {}

@@ -7,19 +7,18 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError, HydroError, __version__
+from hydro_env.types import Array
 from hydro_rig.export.controller import ANSWER, CONTINUED, OUTPUT, STARTED, ControllerGraph, facts_of
-from hydro_rig.export.graph import DOUBLE, Builder, Node, in_order
+from hydro_rig.export.graph import DOUBLE, Builder, Kind, Node, in_order
 
 OPSET = 17
 _OPERATORS = {
-    "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negative": "Neg", "absolute": "Abs",
-    "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "power": "Pow", "tanh": "Tanh", "arcsinh": "Asinh", "equal": "Equal",
-    "greater": "Greater", "greater_equal": "GreaterOrEqual", "less": "Less", "less_equal": "LessOrEqual",
-    "and": "And", "or": "Or", "not": "Not", "where": "Where",
+    "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negative": "Neg", "absolute": "Abs", "power": "Pow",
+    "arcsinh": "Asinh", "greater_equal": "GreaterOrEqual", "less_equal": "LessOrEqual",
 }  # fmt: skip
+"""Of operations whose operators have another name than theirs."""
 
 
 def package(name: str) -> Any:
@@ -121,12 +120,12 @@ class OnnxWriter:
             rows, inner, columns = node.sizes
             factors = [self._shaped(tensors[0], (rows, inner), name), self._shaped(tensors[1], (inner, columns), name)]
             return self._shaped(self.add("MatMul", factors, name, origin), (node.size,), name)
-        return self.add(_OPERATORS[node.operation], tensors, name, origin)
+        return self.add(_OPERATORS.get(node.operation, node.operation.capitalize()), tensors, name, origin)
 
     def _shaped(self, tensor: str, shape: tuple[int, ...], name: str) -> str:
         return self.add("Reshape", [tensor, self._constant(np.array(shape), f"{name}_shape")], f"{name}_shaped")
 
-    def _constant(self, values: NDArray[Any], name: str) -> str:
+    def _constant(self, values: Array, name: str) -> str:
         key = values.tobytes() + values.dtype.str.encode()
         if key not in self._places:
             self._used[name] += 1
@@ -138,7 +137,7 @@ class OnnxWriter:
     def _described(self, name: str, node: Node) -> Any:
         return self._onnx.helper.make_tensor_value_info(name, self._type(node.kind), [node.size])
 
-    def _type(self, kind: np.dtype[Any]) -> int:
+    def _type(self, kind: Kind) -> int:
         return int(self._onnx.helper.np_dtype_to_tensor_dtype(kind))
 
 
@@ -178,7 +177,7 @@ def controller_model(controller: ControllerGraph) -> Any:
     return writer.model(outputs, facts_of(controller, "")["title"], facts)
 
 
-def _converted(node: Node, kind: np.dtype[Any], name: str) -> Node:
+def _converted(node: Node, kind: Kind, name: str) -> Node:
     return node if node.kind == kind else Node("cast", (node,), node.size, kind, name=name)
 
 

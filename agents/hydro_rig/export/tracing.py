@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
-from numpy.typing import NDArray
 
 from hydro_env import HydroError
+from hydro_env.types import Array
 from hydro_rig.export.graph import ELEMENTWISE, KINDS, Builder, Graph, Node
 
 _MOVES = (np.reshape, np.transpose, np.tile, np.repeat, np.roll, np.broadcast_to, np.expand_dims, np.squeeze, np.ravel)
@@ -33,7 +33,7 @@ class TraceError(HydroError):
     """A function depends on its data in a way that no fixed graph can represent."""
 
 
-def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, NDArray[Any]]) -> Graph:
+def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, Array]) -> Graph:
     """The graph of a function of named arrays that returns named arrays; it is called once, with examples of these.
 
     The examples have types of :data:`~hydro_rig.export.graph.KINDS`. The graph depends on their shapes alone.
@@ -200,7 +200,7 @@ class Traced(NDArrayOperatorsMixin):
         node = self._builder.node(operation, [operand.node() for operand in operands], value, **details, **_origin())
         return _traced(self._builder, node, value)
 
-    def _moved(self, move: Callable[[NDArray[Any]], NDArray[Any]]) -> Traced:
+    def _moved(self, move: Callable[[Array], Array]) -> Traced:
         """The elements that a function selects or rearranges; a view of NumPy is a view."""
         return Traced(self._builder, move(self._places), move(self._value))
 
@@ -208,10 +208,9 @@ class Traced(NDArrayOperatorsMixin):
         return self if self.size == np.prod(shape, dtype=int) else self._moved(lambda a: np.broadcast_to(a, shape))
 
 
-def _traced(builder: Builder, node: Node, value: NDArray[Any]) -> Traced:
+def _traced(builder: Builder, node: Node, value: Array) -> Traced:
     """The elements of a node in the shape of the example."""
-    places = node.first + np.arange(node.size).reshape(value.shape)
-    return Traced(builder, places, value.copy())
+    return Traced(builder, node.first + np.arange(node.size).reshape(value.shape), value.copy())
 
 
 def _where_function(self: Traced, condition: Any, yes: Any, no: Any) -> Traced:

@@ -121,7 +121,7 @@ def _external(low: float, high: float, given: Distribution) -> ByName:
     return found
 
 
-def rig_yaml(rig: Mapping[str, Any], fit: Fit, config: TaskConfig, ranges: Ranges, notes: list[str]) -> str:
+def rig_yaml(rig: ByName, fit: Fit, config: TaskConfig, ranges: Ranges, notes: list[str]) -> str:
     """The given rig file with the identified values and the narrowed ranges; the notes stand at its top."""
     values = deepcopy(dict(rig))
     found = found_values(fit, config)

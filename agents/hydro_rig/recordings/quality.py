@@ -197,8 +197,7 @@ def balance(signals: Floats, config: TaskConfig) -> TwoBalances:
     causes = np.column_stack([acceleration, speed, np.tanh(speed / slow), position[1:-1]])
     causes -= causes.mean(axis=0)
     wanted = force[1:-1] - force[1:-1].mean()
-    scale = causes.std(axis=0) + 1e-300
-    _, rest = nnls(causes / scale, wanted)
+    _, rest = nnls(causes / (causes.std(axis=0) + 1e-300), wanted)
     force_rest = 0.0
     if np.ptp(signals[[PRESSURE_A, PRESSURE_B]], axis=1).all():
         force_rest = float(rest**2 / max(float(wanted @ wanted), 1e-300))
@@ -224,8 +223,7 @@ def flow_into_a(signals: Floats, config: TaskConfig) -> Floats:
     rest = State(*[0.0] * len(State._fields))._replace(supply_pressure=supply)
     flow = []
     for pressure_a, pressure_b, spool in signals[[PRESSURE_A, PRESSURE_B, SPOOL]].T.tolist():
-        here = rest._replace(pressure_a=pressure_a, pressure_b=pressure_b, spool_position=spool)
-        edges = edge_flows(here, c)
+        edges = edge_flows(rest._replace(pressure_a=pressure_a, pressure_b=pressure_b, spool_position=spool), c)
         flow.append(edges.supply_to_a - edges.a_to_tank)
     return np.array(flow)
 

@@ -91,8 +91,7 @@ def recording_csv(time: Floats, signals: Floats, note: str = "") -> str:
         if np.isfinite(values[name]).any():
             table[heading(name)] = values[name] / factor(name, WRITTEN_UNITS[name], name)
     comment = f"# {' '.join(note.split())}\n" if note else ""
-    text = table.to_csv(index=False, float_format=_FORMAT, lineterminator="\n")
-    return comment + text
+    return comment + table.to_csv(index=False, float_format=_FORMAT, lineterminator="\n")
 
 
 def heading(signal: str) -> str:

@@ -50,8 +50,7 @@ def time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
     if stamps.isna().mean() > 0.5:
         return None, 0.0
     first = stamps.dropna().iloc[0]
-    seconds = (stamps - first).dt.total_seconds().to_numpy(float).copy()
-    return seconds, float(first.timestamp())
+    return (stamps - first).dt.total_seconds().to_numpy(float).copy(), float(first.timestamp())
 
 
 def with_whole_stamps(table: pd.DataFrame) -> pd.DataFrame:

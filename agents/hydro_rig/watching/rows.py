@@ -12,14 +12,14 @@ from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from queue import Empty, Queue
 from threading import Thread
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hydro_agents.detection.detector import AUXILIARY
 from hydro_env import ConfigurationError
 from hydro_env.errors import reason
-from hydro_env.types import Floats
+from hydro_env.types import ByName, Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.watching.fleet import Fleet
 
@@ -178,7 +178,7 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-def in_protocol(measurement: str, axis: str, fields: dict[str, Any], time: float) -> str:
+def in_protocol(measurement: str, axis: str, fields: ByName, time: float) -> str:
     """A line of line protocol; unknown numbers are left out."""
     tag = re.sub(r"([ ,=])", r"\\\1", axis)
     parts = []
@@ -201,8 +201,7 @@ def lines_of(fill: Callable[[Callable[[str], None]], None]) -> Iterator[str | No
         except Exception as error:  # of any library; the reader must not wait for ever
             queue.put(error)
 
-    thread = Thread(target=run, daemon=True)
-    thread.start()
+    Thread(target=run, daemon=True).start()
     while True:
         try:
             line = queue.get(timeout=PATIENCE)

@@ -171,8 +171,7 @@ class AxisWatch:
 
     def _recording(self) -> Recording:
         stamps = np.array([time for time, _ in self._rows])
-        values = np.array([row for _, row in self._rows]).T
-        signals, others = np.split(values, [len(MEASURED)])
+        signals, others = np.split(np.array([row for _, row in self._rows]).T, [len(MEASURED)])
         auxiliary = {name: row for name, row in zip(AUXILIARY, others, strict=True) if np.isfinite(row).any()}
         return Recording(
             self.name, stamps - stamps[0], signals, {}, [], auxiliary, float(stamps[0])

@@ -8,13 +8,13 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
 
 from hydro_env import ConfigurationError
 from hydro_env.files import write_text
-from hydro_env.types import Floats
+from hydro_env.types import ByName, Floats
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.recordings.files import ENDINGS
 
@@ -109,7 +109,7 @@ def write_table(path: Path, table: pd.DataFrame) -> None:
     write_text(path, table.to_csv(index=False, lineterminator="\n"))
 
 
-def with_row(table: pd.DataFrame, file: File, found: dict[str, Any]) -> pd.DataFrame:
+def with_row(table: pd.DataFrame, file: File, found: ByName) -> pd.DataFrame:
     """The table with the row of a file, in place of an older one of the same file; in the order of axis and time."""
     old = table["file"] == file.name
     row = {**found, "axis": file.axis, "file": file.name, "bytes": file.size}

@@ -137,8 +137,8 @@ def trend_of(name: str, rows: pd.DataFrame, axis: Axis, error: str, now: float |
 
     ``now``: s since 1970; default: the end of the last reading.
     """
-    copies = rows.duplicated(["time", "until", "verdict", "size_40"], keep="last")  # of a file under another name
-    rows = rows[~copies]
+    # Without copies of a file under another name.
+    rows = rows[~rows.duplicated(["time", "until", "verdict", "size_40"], keep="last")]
     rows = rows.assign(begin=seconds(rows["time"]), end=seconds(rows["until"])).sort_values("begin", kind="stable")
     last = float(rows["end"].max())
     now = last if now is None else now
