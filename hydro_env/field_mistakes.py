@@ -53,20 +53,21 @@ def _found_in(values: Any, mistake: Mapping[str, Any]) -> tuple[Path, Any]:
 
 
 def _message(root: Schema, path: Path, given: Any, mistake: Mapping[str, Any]) -> str:
+    kind = mistake["type"]
     schema = _schema_at(root, path)
     unit = f" (unit: {schema['unit']})" if "unit" in schema else ""
-    if mistake["type"] == "extra_forbidden":
+    if kind == "extra_forbidden":
         fields = _schema_at(root, path[:-1]).get("properties", {})
         return f"unknown key{did_you_mean(path[-1], fields) or '; known here: ' + ', '.join(fields)}"
-    if mistake["type"] == "missing":
+    if kind == "missing":
         return "is missing"
-    if mistake["type"] == "value_error":  # of a validator of this project
+    if kind == "value_error":  # of a validator of this project
         return f"{mistake['msg'].removeprefix('Value error, ')}{unit}"
     if "enum" in schema:
         return one_of(given, map(str, schema["enum"]))
     if schema.get("type") in ("number", "integer"):
         return f"must be {_number_allowed(schema)}{unit}"
-    if mistake["type"] in ("model_type", "dict_type"):
+    if kind in ("model_type", "dict_type"):
         return "must be a group of settings"
     return str(mistake["msg"]).replace("Input should", "must")
 

@@ -109,17 +109,14 @@ def functions_of(structure: Structure) -> AxisFunctions:
     parts, kind = parts_of(structure), state_kind(structure)
     read, write, size = tuple_reader(kind), tuple_writer(kind), len(kind._fields)
 
-    def derivative_array(state: Floats, coefficients: Floats, voltage: float) -> Floats:
-        assert sources >= 0
-        out = np.empty(size)
-        write(out, derivatives(read(state), read_coefficients(coefficients), voltage, parts))
-        return out
+    def of_command(law: Any) -> Any:
+        def array(state: Floats, coefficients: Floats, voltage: float) -> Floats:
+            assert sources >= 0
+            out = np.empty(size)
+            write(out, law(read(state), read_coefficients(coefficients), voltage, parts))
+            return out
 
-    def command_changed_array(state: Floats, coefficients: Floats, voltage: float) -> Floats:
-        assert sources >= 0
-        out = np.empty(size)
-        write(out, command_changed(read(state), read_coefficients(coefficients), voltage, parts))
-        return out
+        return compiled(array)
 
     def hold_limits_array(state: Floats, coefficients: Floats) -> Floats:
         assert sources >= 0
@@ -136,10 +133,7 @@ def functions_of(structure: Structure) -> AxisFunctions:
         return out
 
     return AxisFunctions(
-        compiled(derivative_array),
-        compiled(command_changed_array),
-        compiled(hold_limits_array),
-        compiled(derived_array),
+        of_command(derivatives), of_command(command_changed), compiled(hold_limits_array), compiled(derived_array)
     )
 
 

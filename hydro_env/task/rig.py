@@ -106,7 +106,7 @@ def task_from(
     model: type[ModelType],
     values: Values,
     source: str,
-    folder: Path | None = None,
+    folder: Path | None,
     rig: str | Path | None = None,
     overrides: Values | None = None,
     within: str = "",

@@ -169,10 +169,10 @@ def _stop(number: int, frame: object) -> None:
 def _end(code: int, message: str) -> NoReturn:
     """End with a message on standard error, without characters that would move a cursor and without endless words."""
     short = re.sub(r"(\S{200})\S{300,}", r"\1…", message)
-    lines = []
-    for line in re.split(r"\n(?=  )", short):  # a list of mistakes has one indented line each
-        lines.append("".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in line))
-    shown = "\n".join(lines)
+    shown = "\n".join(
+        "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in line)
+        for line in re.split(r"\n(?=  )", short)  # a list of mistakes has one indented line each
+    )
     with contextlib.suppress(OSError):
         print(f"hydro: {shown}", file=sys.stderr)
     sys.exit(code)

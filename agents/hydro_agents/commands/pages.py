@@ -99,10 +99,8 @@ def summary(results: Results) -> Iterator[Table]:
     header = ("controller", "error", "[95 %]", "worst", "return", "travel", "rev.", "fails", "cycles")
     pattern = "{controller}|{equal_weight:.3f}|{equal_weight_low:.2f}–{equal_weight_high:.2f}|{worst_ratio:.2f}"
     pattern += "|{return:.2f}|{travel_ratio:.2f}|{reversals_ratio:.2f}|{failures}|{limit_cycles}/{standstills}"
-    rows = []
-    for row in results.table("ranking").to_dict("records"):
-        rows.append(tuple(cell.format(**row) for cell in pattern.split("|")))
-    yield Table(title, header, rows)
+    cells, records = pattern.split("|"), results.table("ranking").to_dict("records")
+    yield Table(title, header, [tuple(cell.format(**row) for cell in cells) for row in records])
 
 
 def remarks(results: Results) -> Iterator[str]:

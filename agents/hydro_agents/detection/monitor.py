@@ -1,5 +1,6 @@
 """The leakage head in use: as a detector of windows, and loaded for a task."""
 
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -80,10 +81,7 @@ class HeadDetector:
         excess = logit(np.column_stack([getattr(found, name) for name in _OTHER_LABELS])) - thresholds
         named = np.where(excess.max(axis=1) > 0.0, np.array(OTHER_CAUSES)[excess.argmax(axis=1)], Cause.NONE)
         evidence = logit(found.probability) + logit(self.head.settings.threshold) - logit(head.settings.threshold)
-        faults = []
-        for row in excess > 0.0:
-            words = [cause.in_full for cause, above in zip(OTHER_CAUSES, row, strict=True) if above]
-            faults.append(" and ".join(words))
+        words = [cause.in_full for cause in OTHER_CAUSES]
         unknown = np.where(still, Cause.UNDETERMINED, Cause.UNKNOWN)
         return Reading.of(
             np.where(stuck | still, np.nan, evidence),
@@ -92,6 +90,6 @@ class HeadDetector:
             flow_lpm=found.flow_lpm,
             low_lpm=found.low_lpm,
             high_lpm=found.high_lpm,
-            fault=faults,
+            fault=[" and ".join(compress(words, row)) for row in excess > 0.0],
             why=np.where(still, Why.AT_REST, np.where(outside, Why.OUTSIDE, Why.ANSWERED)),
         )

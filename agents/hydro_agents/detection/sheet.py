@@ -188,11 +188,13 @@ def _candidate_valves(config: TaskConfig) -> Floats:
     damping, damping_range = _middle_and_half(config, "valve.damping_ratio")
     across = np.linspace(-1.0, 1.0, FREQUENCIES) if frequency_range > 0.0 else np.zeros(1)
     along = np.linspace(-1.0, 1.0, DAMPINGS) if damping_range > 0.0 else np.zeros(1)
-    valves = []
-    for off in across:
-        for out in along:
-            valves.append(_valve_steps(config, frequency + off * frequency_range, damping + out * damping_range))
-    return np.array(valves)
+    return np.array(
+        [
+            _valve_steps(config, frequency + off * frequency_range, damping + out * damping_range)
+            for off in across
+            for out in along
+        ]
+    )
 
 
 def _valve_steps(config: TaskConfig, frequency: float, damping: float) -> Floats:

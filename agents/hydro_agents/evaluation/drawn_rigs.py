@@ -72,11 +72,7 @@ def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: 
 
 
 def on_drawn_rigs(
-    drawn: TaskConfig,
-    agents: Mapping[str, str],
-    plants: int = PLANTS,
-    folder: Path | None = None,
-    progress: Report | None = None,
+    drawn: TaskConfig, agents: Mapping[str, str], plants: int, folder: Path | None, progress: Report | None = None
 ) -> pd.DataFrame:
     """One row per agent and rig, untuned flow linearisation first; finished jobs in the folder are read.
 

@@ -181,7 +181,7 @@ def reversals(command: Array) -> int:
     return count
 
 
-def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, preview: float = 0.0) -> dict[str, float]:
+def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, preview: float) -> dict[str, float]:
     """All METRICS of one episode; overshoot has a meaning if its reference ``is_step``.
 
     The controller sees the reference ``preview`` seconds ahead. The same time at the end of each standstill does not

@@ -119,7 +119,7 @@ def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> dict[str,
     return unset
 
 
-def check_to_console(rig: Path | None, period: str | None = None, latency: str | None = None) -> tuple[Any, ...]:
+def check_to_console(rig: Path | None, period: str | None, latency: str | None) -> tuple[Any, ...]:
     """Print the table of a rig; returns what its page shows: name, facts, warnings, figures and task.
 
     Args:
@@ -177,9 +177,7 @@ def _summary(rig: Rig) -> str:
         f"{parameters.supply.pressure / BAR:.4g} bar",
         f"own leak {leak_at_test_pressure(parameters):.3g} l/min at 100 bar",
     ]
-    for name in SENSORS:
-        if rig.sensors.get(f"sensors.{name}.fitted") is False:
-            facts.append(f"no sensor for {name}")
+    facts += [f"no sensor for {name}" for name in SENSORS if rig.sensors.get(f"sensors.{name}.fitted") is False]
     return ", ".join(facts)
 
 

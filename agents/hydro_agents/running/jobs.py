@@ -40,7 +40,7 @@ Report = Callable[[str, int, int], None]  # called with phase, number of finishe
 
 
 @contextmanager
-def workers(jobs: int | None = None) -> Iterator[None]:
+def workers(jobs: int | None) -> Iterator[None]:
     """Run all jobs of a block in some processes of this machine; ``None``: one per core.
 
     Ctrl-C is left to this process.

@@ -59,7 +59,7 @@ def plant_weights(strata: Array, resamples: int = RESAMPLES, seed: int = 0) -> F
     return weights
 
 
-def seed_weights(count: int, resamples: int = RESAMPLES, seed: int = 0) -> Floats:
+def seed_weights(count: int, resamples: int, seed: int = 0) -> Floats:
     """Draw training seeds with replacement; (resamples + 1, count)."""
     drawn = np.random.default_rng([seed, count, 1]).multinomial(count, np.full(count, 1.0 / count), resamples)
     return np.concatenate([np.ones((1, count)), drawn])

@@ -25,7 +25,7 @@ def number(value: float, decimals: int | None = None, digits: int = 3) -> str:
     return text.replace("-", "−")
 
 
-def decimals_for(size: float, digits: int = 3) -> int:
+def decimals_for(size: float, digits: int) -> int:
     """Number of decimals for ``digits`` significant digits of a value of this size."""
     if size == 0.0 or not np.isfinite(size):
         return 0

@@ -1,7 +1,5 @@
 """``hydro diagnose``, ``leak-test``, ``watch``, ``trend``: verdicts on a machine, once, while it runs, over weeks."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -169,7 +167,7 @@ def trend(
     raise typer.Exit(found.exit_code)
 
 
-def _fleet(file: Path | None, **settings: Any) -> Fleet:
+def _fleet(file: Path | None, **settings: Any) -> "Fleet":
     """The axes by the file of a fleet, or all alike by the options of a command."""
     from hydro_rig.watching.fleet import Fleet
 

@@ -1,7 +1,5 @@
 """``hydro export`` and ``rehearse``: the plant, a controller or the leak detector for other tools, and its trial."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
@@ -155,7 +153,7 @@ def _head(what: str, request: _Request) -> Job:
     return FILES, partial(exported_head, head, command_line())
 
 
-def _tell_distance(what: str, trained: object, config: TaskConfig) -> None:
+def _tell_distance(what: str, trained: object, config: "TaskConfig") -> None:
     from hydro_agents.learning.loading import outside_training
 
     if far := outside_training(trained, config):
@@ -181,7 +179,7 @@ def _controller(what: str, request: _Request, name: str, gains: Gains | None, si
     return files_of(name), partial(exported_files, controller, config, command_line(), origin, name, single)
 
 
-def _with_gains(what: str, gains: Gains, config: TaskConfig) -> Controller:
+def _with_gains(what: str, gains: Gains, config: "TaskConfig") -> "Controller":
     """A controller whose gains are searched for a rig, or follow from its figures."""
     from hydro_agents.controllers.registry import make_controller
     from hydro_agents.learning.rig_gains import NEAR, gain_sets, searched_gains
@@ -192,7 +190,7 @@ def _with_gains(what: str, gains: Gains, config: TaskConfig) -> Controller:
     return make_controller(what, config, found.model_dump())
 
 
-def _controller_and_task(what: str, request: _Request, gains: Gains | None) -> tuple[Controller, TaskConfig]:
+def _controller_and_task(what: str, request: _Request, gains: Gains | None) -> "tuple[Controller, TaskConfig]":
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.loading import SHIPPED_WEIGHTS, found_in, load_controller
@@ -224,7 +222,7 @@ def _controller_and_task(what: str, request: _Request, gains: Gains | None) -> t
     return load_controller(what, config, what), config
 
 
-def _task_of_gains(gains: Path) -> TaskConfig:
+def _task_of_gains(gains: Path) -> "TaskConfig":
     """The task of the study in whose folder a file of gains lies.
 
     Raises:

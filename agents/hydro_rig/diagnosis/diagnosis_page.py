@@ -46,9 +46,7 @@ FIRST_DATE = 1e9  # s since 1970; smaller stamps are no dates
 LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
 
 
-def diagnose_to_folder(
-    folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str, change: str = ""
-) -> list[str]:
+def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str, change: str) -> list[str]:
     """Write page, table and findings; returns the lines for the user, the verdict last; ``change``: a sentence."""
     with output_folder(folder, JOB, FILES, overwrite=overwrite):
         write_text(folder / TABLE_FILE, leak_table(diagnosis).to_csv(index=False, lineterminator="\n"))

@@ -78,15 +78,16 @@ class Verdict(NamedTuple):
 
     def line(self) -> str:
         """The verdict in one line."""
-        line = f"{self.kind}: {self.why}"
-        if self.leak is None or self.kind is Kind.UNKNOWN:
+        kind = self.kind
+        line = f"{kind}: {self.why}"
+        if self.leak is None or kind is Kind.UNKNOWN:
             return line
         size = self.leak.text()
-        if self.kind is Kind.LEAK:
-            return "; ".join(filter(None, [f"{self.kind} of {size}", self.why]))
+        if kind is Kind.LEAK:
+            return "; ".join(filter(None, [f"{kind} of {size}", self.why]))
         seal = f"leak past the piston {size}"
-        if self.kind is Kind.HEALTHY:
-            return ", ".join(filter(None, [f"{self.kind}: {seal}", self.why]))
+        if kind is Kind.HEALTHY:
+            return ", ".join(filter(None, [f"{kind}: {seal}", self.why]))
         return f"{line}; {seal}"
 
 

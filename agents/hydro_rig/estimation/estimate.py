@@ -87,10 +87,9 @@ def estimate(
             raise ConfigurationError(f"first: '{name}' is not among the unknowns")
         guess[:, model.names.index(name)] = values
     problem, scaled = Problem(model, usable_readings(windows, config, model)), model.prior.scaled(guess)
-    parts, together = [], max(SAMPLES_PER_BATCH // windows.shape[2], 1)
-    for rows in np.split(np.arange(len(windows)), range(together, len(windows), together)):
-        parts.append(search(problem.part(rows), scaled[rows], settings))
-    return join(parts)
+    together = max(SAMPLES_PER_BATCH // windows.shape[2], 1)
+    batches = np.split(np.arange(len(windows)), range(together, len(windows), together))
+    return join([search(problem.part(rows), scaled[rows], settings) for rows in batches])
 
 
 def checked_signals(signals: Any) -> Floats:
@@ -262,10 +261,11 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
     norm of all their slow errors moves an unknown by the data sheet (Cauchy and Schwarz).
     """
     model, linear = problem.model, problem.linearised(scaled, directions)
-    errors = problem.errors or Errors.of_data_sheet(*linear.known.shape[:2])
+    known = linear.known
+    errors = problem.errors or Errors.of_data_sheet(*known.shape[:2])
     covariance = doubtful = linear.covariance()
     if problem.errors is not None:
-        count, samples = linear.known.sum(axis=2), linear.known.shape[2]
+        count, samples = known.sum(axis=2), known.shape[2]
         as_white = problem._replace(errors=errors.as_white(count, samples)).linearised(scaled, directions)
         by_data_sheet = problem._replace(errors=None).linearised(scaled, directions).covariance()
         square = errors.of_model(samples) * (count * errors.slow**2).sum(axis=1)
@@ -282,7 +282,7 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
         names=model.names,
         values=values,
         deviations=deviation * model.prior.slope(scaled),
-        chi2_per_sample=chi2 / np.maximum(linear.known.sum(axis=(1, 2)), 1),
+        chi2_per_sample=chi2 / np.maximum(known.sum(axis=(1, 2)), 1),
         misfit=misfit,
         holds=misfit < LARGEST_MISFIT,
         scaled=scaled,
@@ -292,7 +292,7 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
         spikes=np.zeros_like(errors.white),
         latency=np.full(len(scaled), timing[LATENCY]),
         rise_time=np.full(len(scaled), timing[RISE_TIME]),
-        of_model=errors.of_model(linear.known.shape[2]),
+        of_model=errors.of_model(known.shape[2]),
         parts=np.fromiter([()] * len(scaled), np.object_),
         unlikelihood=chi2,
     )

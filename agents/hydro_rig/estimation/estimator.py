@@ -106,9 +106,10 @@ class EstimatorDetector:
 
         ``usual``: parts that this axis had in other windows.
         """
+        unread = Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS)
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
-            return Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS), None
+            return unread, None
         used, names, wear = windows.part(chosen), default_unknowns(task), wear_priors(task)
         worn = self._estimate(used, task, (*names, *wear), wear)
         self._with_parts(used, task, worn, usual)
@@ -125,7 +126,6 @@ class EstimatorDetector:
             value[simple[better]] = plain.value(LEAKAGE)[better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[better]
         reading = _reading(worn, excess, value, deviation, still, task)
-        unread = Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS)
         return unread.replaced(chosen, reading), worn
 
     def _estimate(

@@ -143,10 +143,11 @@ class Model:
 
         ``scaled``: the unknowns of each row, (R, P): first all rows of the first window, then as many of the next.
         """
+        config, period = self.config, self.config.control_period
         window = np.repeat(np.arange(self.count), len(scaled) // self.count)
         physical, start = self._physical[window], self._start[window]
-        latency = np.full(len(window), self.config.command_latency)
-        lag = np.full(len(window), float(settings_of(self.config)[0]["pressure_lag"] * self.config.control_period))
+        latency = np.full(len(window), config.command_latency)
+        lag = np.full(len(window), float(settings_of(config)[0]["pressure_lag"] * period))
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         commands = self.commands.beginning(samples or self.samples)
         course = np.zeros((len(window), commands.command.shape[1]))
@@ -154,16 +155,15 @@ class Model:
         drift = 0.0
         for name, value in zip(self.names, self.prior.value(scaled).T, strict=True):
             if name.startswith(COURSE):
-                time = self.config.control_period * np.arange(commands.command.shape[1])
+                time = period * np.arange(commands.command.shape[1])
                 course += value[:, None] * np.clip(time / KNOTS - int(name.removeprefix(COURSE)) + 1, 0.0, 1.0)
             elif name == LEAKAGE:
-                for field, size in leak_past_piston(value, self.config.leakage.law).items():
+                for field, size in leak_past_piston(value, config.leakage.law).items():
                     physical[:, PARAMETER_PATHS.index(f"leakage.{field}")] = size
             elif name == EXTERNAL_LEAKAGE:
                 physical[:, _EXTERNAL] = ROD_SEAL.value(value)
             elif name == LATENCY:
-                period = self.config.control_period
-                reach = max(MOST_LATE * period, self.config.command_latency + period)
+                reach = max(MOST_LATE * period, config.command_latency + period)
                 latency = np.clip(value, -reach, reach)
             elif name == RISE_TIME:
                 lag = np.maximum(value, 0.0) / RISE
@@ -179,11 +179,11 @@ class Model:
                 if name in names:
                     values[:, names.index(name)] = value
         physical[:, _NULL] += drift
-        if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
+        if config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
         rows = Rows(window, physical, start, latency, lag, course, offset)
-        read = replay(self.config, commands, rows, self.threads, self.structure)
-        if self.config.sensors.differential_pressure:
+        read = replay(config, commands, rows, self.threads, self.structure)
+        if config.sensors.differential_pressure:
             read[:, PRESSURE_A] -= read[:, PRESSURE_B]
         read *= (gain / self.noise)[:, :, None]
         read += (bias / self.noise)[:, :, None]

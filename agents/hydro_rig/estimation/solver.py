@@ -7,8 +7,6 @@ which leaves a small problem of the shared unknowns.
 :func:`misfit_of` says whether the result explains the readings: whether the residuals look like the sensors' noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
@@ -38,12 +36,12 @@ class Problem(NamedTuple):
     measured: Floats  # readings over their noise, (B, channels, T); NaN is left out
     errors: Errors | None = None  # of the readings; None: white noise as in the data sheet
 
-    def part(self, windows: Indices) -> Problem:
+    def part(self, windows: Indices) -> "Problem":
         """Some of the windows."""
         errors = None if self.errors is None else self.errors.part(windows)
         return Problem(self.model.part(windows), self.measured[windows], errors)
 
-    def with_more(self, priors: Mapping[str, Prior]) -> Problem:
+    def with_more(self, priors: Mapping[str, Prior]) -> "Problem":
         """The same windows with more unknowns behind the others."""
         return self._replace(model=self.model.with_more(priors))
 
@@ -56,7 +54,7 @@ class Problem(NamedTuple):
 
     def linearised(
         self, scaled: Floats, directions: Floats | None = None, samples: int | None = None, central: bool = False
-    ) -> Linearised:
+    ) -> "Linearised":
         """Residuals and derivatives at scaled unknowns (B, P); arguments as of :meth:`Model.linearise`."""
         measured = self.measured[:, :, :samples]
         known = np.isfinite(measured)
@@ -83,7 +81,7 @@ class Linearised(NamedTuple):
         information = self.jacobian @ self.jacobian.transpose(0, 2, 1) + np.eye(self.jacobian.shape[1])
         return np.asarray(np.linalg.inv(information), float)
 
-    def equations(self, scaled: Floats, shared: Indices) -> Equations:
+    def equations(self, scaled: Floats, shared: Indices) -> "Equations":
         """Normal equations of each window at unknowns (B, P), and those of the ``shared`` ones with the others unknown.
 
         The shared unknowns, (p,), have their prior once for all windows.

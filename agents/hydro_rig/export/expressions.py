@@ -130,15 +130,16 @@ class Expressions:
 
     def subscript(self, node: ast.Subscript) -> Typed | None:
         """An element of an array, one of its rows, all of it (``[:]``), or a field of a tuple."""
+        chosen = node.slice
         if isinstance(node.value, ast.Attribute) and node.value.attr == "shape":
-            return _literal(self.value(node.value.value)[1].shape[self.integer(node.slice)])
+            return _literal(self.value(node.value.value)[1].shape[self.integer(chosen)])
         text, kind = self.value(node.value)
         if not kind.shape:
-            inner, field = kind.fields[self.integer(node.slice)]
+            inner, field = kind.fields[self.integer(chosen)]
             return f"{text}.{field}", inner
-        if isinstance(node.slice, ast.Slice):
-            return (text, kind) if node.slice.lower is node.slice.upper is node.slice.step is None else None
-        indices = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+        if isinstance(chosen, ast.Slice):
+            return (text, kind) if chosen.lower is chosen.upper is chosen.step is None else None
+        indices = chosen.elts if isinstance(chosen, ast.Tuple) else [chosen]
         if len(indices) > len(kind.shape):
             return None
         terms = []

@@ -10,8 +10,6 @@ Every array is flat. Operations:
 * ``matmul`` and ``sum``, with the three sizes in ``sizes``: rows, inner, columns; or outer, summed, inner.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
@@ -42,7 +40,7 @@ class Node:
     """One operation and its result, a flat array."""
 
     operation: str
-    operands: tuple[Node, ...]
+    operands: "tuple[Node, ...]"
     size: int
     kind: Kind
     table: Array | None = None  # values of a constant, indices of a collect
@@ -52,7 +50,7 @@ class Node:
     first: int = 0  # number of its first element among all those of its builder
 
     @cached_property
-    def runs(self) -> list[EvenRun]:
+    def runs(self) -> "list[EvenRun]":
         """A ``collect`` as stretches with equal steps."""
         assert self.table is not None
         pieces = [(source, place) for source in self.operands for place in range(source.size)]
@@ -74,7 +72,7 @@ class Node:
         return self.operation == "collect" and len(self.runs) == 1
 
     @property
-    def whole(self) -> Node:
+    def whole(self) -> "Node":
         """The node of which it is a part, or itself."""
         return self.runs[0].source if self.is_part else self
 

@@ -69,16 +69,17 @@ def plant_code(parameters: PlantParameters | None = None) -> dict[str, str]:
     structure = parameters.structure
     kind, parts = state_kind(structure), equations.parts_of(structure)
     translator = Translator()
+    translate = translator.function
     base, state, constants, physical = (translator.struct(each) for each in (State, kind, Coefficients, Physical))
-    translator.function(equations.coefficients, [physical], "coefficients_of")
-    translator.function(equations.derivatives, [state, constants, DOUBLE, parts])
-    translator.function(equations.command_changed, [state, constants, DOUBLE, parts])
-    translator.function(equations.hold_limits, [state, constants, parts])
-    translator.function(equations.time_to_kink, [state, state, constants, parts])
-    translator.function(equations.derived_quantities, [state, constants, parts])
-    translator.function(equations.weights, [constants, parts])
-    translator.function(equilibrium_state, [DOUBLE, physical, constants, WAVES if structure.lines else VOLUMES])
-    translator.function(rest_of(structure), [base, constants], "complete_at_rest")
+    translate(equations.coefficients, [physical], "coefficients_of")
+    translate(equations.derivatives, [state, constants, DOUBLE, parts])
+    translate(equations.command_changed, [state, constants, DOUBLE, parts])
+    translate(equations.hold_limits, [state, constants, parts])
+    translate(equations.time_to_kink, [state, state, constants, parts])
+    translate(equations.derived_quantities, [state, constants, parts])
+    translate(equations.weights, [constants, parts])
+    translate(equilibrium_state, [DOUBLE, physical, constants, WAVES if structure.lines else VOLUMES])
+    translate(rest_of(structure), [base, constants], "complete_at_rest")
     shared = [text for text in translator.structs if text.endswith((f" {state.element};\n", " Derived;\n"))]
     values = {
         "version": __version__,

@@ -5,8 +5,6 @@
 the lines of Python give them.
 """
 
-from __future__ import annotations
-
 import inspect
 import linecache
 import re
@@ -89,7 +87,7 @@ class Traced(NDArrayOperatorsMixin):
     def __iter__(self) -> Any:
         return (self[index] for index in range(len(self)))
 
-    def __getitem__(self, key: Any) -> Traced:
+    def __getitem__(self, key: Any) -> "Traced":
         return self._moved(lambda array: array[key])
 
     def __setitem__(self, key: Any, value: Any) -> None:
@@ -97,15 +95,15 @@ class Traced(NDArrayOperatorsMixin):
         self._places[key], self._value[key] = new._places, new._value
         self.node()  # the line that makes or changes it gives it a name
 
-    def reshape(self, *shape: Any) -> Traced:
+    def reshape(self, *shape: Any) -> "Traced":
         """The same elements in another shape."""
         return self._moved(lambda array: array.reshape(*shape))
 
-    def copy(self) -> Traced:
+    def copy(self) -> "Traced":
         """A copy, which may be changed."""
         return Traced(self._builder, self._places.copy(), self._value.copy())
 
-    def astype(self, kind: Any, copy: bool = True) -> Traced:
+    def astype(self, kind: Any, copy: bool = True) -> "Traced":
         """The values in another type."""
         del copy
         value = self._value.astype(kind)
@@ -113,7 +111,7 @@ class Traced(NDArrayOperatorsMixin):
             return self.copy()
         return self != 0 if value.dtype == np.bool_ else self._result("cast", [self], value)
 
-    def sum(self, axis: int | None = None) -> Traced:
+    def sum(self, axis: int | None = None) -> "Traced":
         """Sum of all elements or along an axis."""
         if axis is None:
             return self.reshape(-1).sum(axis=0)
@@ -147,7 +145,7 @@ class Traced(NDArrayOperatorsMixin):
         target[...] = result
         return target
 
-    def _elementwise(self, ufunc: Any, *operands: Any) -> Traced:
+    def _elementwise(self, ufunc: Any, *operands: Any) -> "Traced":
         operands = tuple(np.asarray(operand) if isinstance(operand, list | tuple) else operand for operand in operands)
         kinds = [getattr(operand, "dtype", type(operand)) for operand in operands]
         wanted = ufunc.resolve_dtypes((*kinds, None))
@@ -160,7 +158,7 @@ class Traced(NDArrayOperatorsMixin):
             arrays.append(self._of(operand, kind))
         return self._result(ELEMENTWISE[ufunc], arrays, ufunc(*(array._value for array in arrays)))
 
-    def _product(self, left: Any, right: Any) -> Traced:
+    def _product(self, left: Any, right: Any) -> "Traced":
         kind = np.result_type(left.dtype, right.dtype)
         a, b = self._of(left, kind), self._of(right, kind)
         if a.ndim > 2 or b.ndim > 2:
@@ -179,20 +177,20 @@ class Traced(NDArrayOperatorsMixin):
             raise _refusal(f"np.{function.__name__}")
         return _FUNCTIONS[function](self, *arguments, **options)
 
-    def _joined(self, function: Any, arrays: Any, dtype: Any = None, **options: Any) -> Traced:
+    def _joined(self, function: Any, arrays: Any, dtype: Any = None, **options: Any) -> "Traced":
         kind = dtype or np.result_type(*(array.dtype for array in arrays))
         parts = [self._of(array, kind) for array in arrays]
         places = function([part._places for part in parts], **options)
         value = function([part._value for part in parts], **options)
         return Traced(self._builder, places, value)
 
-    def _of(self, value: Any, kind: Any = None) -> Traced:
+    def _of(self, value: Any, kind: Any = None) -> "Traced":
         if isinstance(value, Traced):
             return value if kind is None or value.dtype == kind else value.astype(kind)
         array = np.asarray(value, dtype=kind)
         return _traced(self._builder, self._builder.constant(array, _constant_name(value)), array)
 
-    def _result(self, operation: str, operands: Sequence[Traced], value: Any, **details: Any) -> Traced:
+    def _result(self, operation: str, operands: "Sequence[Traced]", value: Any, **details: Any) -> "Traced":
         """The result of an operation; without ``sizes`` element by element: of one element of an operand or all."""
         value = np.asarray(value)
         if not details:
@@ -200,11 +198,11 @@ class Traced(NDArrayOperatorsMixin):
         node = self._builder.node(operation, [operand.node() for operand in operands], value, **details, **_origin())
         return _traced(self._builder, node, value)
 
-    def _moved(self, move: Callable[[Array], Array]) -> Traced:
+    def _moved(self, move: Callable[[Array], Array]) -> "Traced":
         """The elements that a function selects or rearranges; a view of NumPy is a view."""
         return Traced(self._builder, move(self._places), move(self._value))
 
-    def _spread(self, shape: tuple[int, ...]) -> Traced:
+    def _spread(self, shape: tuple[int, ...]) -> "Traced":
         return self if self.size == np.prod(shape, dtype=int) else self._moved(lambda a: np.broadcast_to(a, shape))
 
 

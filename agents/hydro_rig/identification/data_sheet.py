@@ -30,8 +30,9 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
 
     The medians of the windows with an answer count, or of all if there is none.
     """
-    used = found.part(np.flatnonzero(found.holds)) if found.holds.any() else found
-    end = "used" if found.holds.any() else "the model still does not hold"
+    holds = found.holds
+    used = found.part(np.flatnonzero(holds)) if holds.any() else found
+    end = "used" if holds.any() else "the model still does not hold"
     odd = []
     for part, count in Counter(part for parts in found.parts for part in parts).items():
         if count >= MOST_DIFFER * len(found):
@@ -46,7 +47,7 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
         if spikes > SPIKES:
             spiky.append(Finding(name, "has spikes: left out", share=spikes))
     findings = [Finding(signal, f"{what}: {end}") for signal, what in odd] + spiky
-    if found.holds.any() and found.of_model[found.holds].mean() >= MOST_DIFFER:
+    if holds.any() and found.of_model[holds].mean() >= MOST_DIFFER:
         findings.append(Finding("model", "differs slowly from several signals, which can hide a leak", Weight.DOUBT))
     return findings
 

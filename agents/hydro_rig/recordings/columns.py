@@ -192,13 +192,12 @@ def place_of(column: Column, signal: str, headings: Sequence[str], source: str) 
     Raises:
         ConfigurationError: the column does not exist, or several columns have that heading.
     """
-    if isinstance(column.column, int):
-        if column.column > len(headings):
-            raise ConfigurationError(
-                f"{source}: {signal}: column {column.column}: the file has {len(headings)} columns"
-            )
-        return column.column - 1
-    wanted = column.column.strip()
+    given = column.column
+    if isinstance(given, int):
+        if given > len(headings):
+            raise ConfigurationError(f"{source}: {signal}: column {given}: the file has {len(headings)} columns")
+        return given - 1
+    wanted = given.strip()
     places = [place for place, heading in enumerate(headings) if heading.strip() == wanted]
     places = places or [place for place, heading in enumerate(headings) if split_heading(heading)[0] == wanted]
     if len(places) != 1:

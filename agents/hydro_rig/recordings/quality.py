@@ -85,7 +85,7 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool = F
     findings = [*recording.findings, *samples.findings]
     if not len(samples.time):
         return Checked(samples, findings)
-    moving = _stretch_with_motion(_without_gaps(samples, config))
+    moving = _stretch_with_motion(samples, config)
     if moving is not None and (set_point := check_set_point(moving, samples.period)):
         return Checked(samples, [*findings, set_point])
     samples, beyond = _within_full_scale(samples)
@@ -122,14 +122,31 @@ class TwoBalances(NamedTuple):
     expected_travel: float  # m, by the flow through the valve
 
 
-def _stretch_with_motion(samples: Sampled) -> Floats | None:
-    """The signals (5, T) of a stretch without gaps in which the axis moves most; ``None`` if all are too short."""
-    whole = np.flatnonzero(np.isfinite(samples.signals).all(axis=0))
+def _stretch_with_motion(samples: Sampled, config: TaskConfig) -> Floats | None:
+    """All signals (5, T) of a stretch without gaps in which the axis moves most; ``None`` if all are too short.
+
+    Between the readings of a slow sensor they are interpolated, for checks of slow motion. An absent spool follows its
+    command, and absent pressures are half the supply's. With a flow, a pump moves the axis, and the command may be none
+    of a valve: absent signals stay absent.
+    """
+    signals = samples.signals.copy()
+    for values in signals[:COMMAND]:
+        known = np.isfinite(values)
+        if known.any() and not known.all():
+            values[:] = interpolated(samples.time, samples.time[known], values[known], LONGEST_BLANK)
+    if "flow" not in samples.auxiliary:
+        if config.sensors.differential_pressure:
+            signals = two_pressures(signals[None], config)[0]
+        half_supply = 0.5 * config.plant.supply.pressure
+        for row, usual in ((PRESSURE_A, half_supply), (PRESSURE_B, half_supply), (SPOOL, signals[COMMAND])):
+            if not np.isfinite(signals[row]).any():
+                signals[row] = usual
+    whole = np.flatnonzero(np.isfinite(signals).all(axis=0))
     stretches = np.split(whole, np.flatnonzero(np.diff(samples.place[whole]) != 1) + 1)
     longest = max(stretches, key=len)
     if len(longest) < FEWEST_SAMPLES:
         return None
-    signals = samples.signals[:, longest[0] : longest[-1] + 1]
+    signals = signals[:, longest[0] : longest[-1] + 1]
     starts = range(0, max(signals.shape[1] - MOST_SAMPLES, 0) + 1, MOST_SAMPLES)
     best = max(starts, key=lambda start: float(signals[POSITION, start : start + MOST_SAMPLES].std()))
     return signals[:, best : best + MOST_SAMPLES]
@@ -137,7 +154,7 @@ def _stretch_with_motion(samples: Sampled) -> Floats | None:
 
 def check_wiring(samples: Sampled, config: TaskConfig) -> Findings:
     """Find wrong signs, exchanged chambers and wrong units; needs motion."""
-    signals = _stretch_with_motion(_without_gaps(samples, config))
+    signals = _stretch_with_motion(samples, config)
     if signals is None:
         return []
     findings = _spool_and_command(signals, config)
@@ -160,28 +177,6 @@ def check_wiring(samples: Sampled, config: TaskConfig) -> Findings:
         what = f"moves against the valve's flow: its sign, or that of the command, is wrong; {SETTLED}"
         return [*findings, Finding("position", what, Weight.SEVERE)]
     return findings
-
-
-def _without_gaps(samples: Sampled, config: TaskConfig) -> Sampled:
-    """The samples with all signals, and with readings between those of a slow sensor, for checks of slow motion.
-
-    An absent spool follows its command, and absent pressures are half the supply's. With a flow, a pump moves the axis,
-    and the command may be none of a valve: absent signals stay absent.
-    """
-    signals = samples.signals.copy()
-    for values in signals[:COMMAND]:
-        known = np.isfinite(values)
-        if known.any() and not known.all():
-            values[:] = interpolated(samples.time, samples.time[known], values[known], LONGEST_BLANK)
-    if "flow" in samples.auxiliary:
-        return samples._replace(signals=signals)
-    if config.sensors.differential_pressure:
-        signals = two_pressures(signals[None], config)[0]
-    half_supply = 0.5 * config.plant.supply.pressure
-    for row, usual in ((PRESSURE_A, half_supply), (PRESSURE_B, half_supply), (SPOOL, signals[COMMAND])):
-        if not np.isfinite(signals[row]).any():
-            signals[row] = usual
-    return samples._replace(signals=signals)
 
 
 def balance(signals: Floats, config: TaskConfig) -> TwoBalances:

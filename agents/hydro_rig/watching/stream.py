@@ -107,17 +107,18 @@ class AxisWatch:
 
     def add(self, row: Row) -> Look | None:
         """Add a row; the look that is then due."""
-        if self._rows and row.time < self.newest - SET_BACK:
+        now = row.time
+        if self._rows and now < self.newest - SET_BACK:
             self._rows.clear()
             self._due, self._looks, self._sure = np.nan, 0, -np.inf
-            return self._told(row.time, Condition.CHECK, "the clock was set back")
-        self._rows.append((row.time, row.values))
+            return self._told(now, Condition.CHECK, "the clock was set back")
+        self._rows.append((now, row.values))
         self._since_look += 1
         if np.isnan(self._due):
-            self._due = row.time + max(WINDOW, self.interval)
-        if row.time < self._due and self._since_look < self._most:  # a clock in the wrong unit hardly moves
+            self._due = now + max(WINDOW, self.interval)
+        if now < self._due and self._since_look < self._most:  # a clock in the wrong unit hardly moves
             return None
-        self._due, self._since_look = row.time + self.interval, 0
+        self._due, self._since_look = now + self.interval, 0
         return self.look()
 
     def silent(self, now: float) -> Look | None:
@@ -252,15 +253,16 @@ class FleetWatch:
 
     def add(self, row: Row) -> Iterator[Look]:
         """Add a row; the looks that are then due, after what they tell was written."""
-        axis = self.axes.get(row.axis)
+        name = row.axis
+        axis = self.axes.get(name)
         if axis is None:
             if len(self.axes) >= MOST_AXES:
                 raise ConfigurationError(f"more than {MOST_AXES} axes; --tag names the column or tag of the axis")
-            axis = AxisWatch(row.axis, self._fleet.axis(row.axis))
-            if row.axis in self._kept:
-                axis.restore(self._kept[row.axis])
+            axis = AxisWatch(name, self._fleet.axis(name))
+            if name in self._kept:
+                axis.restore(self._kept[name])
             axis.repair(self.table)
-            self.axes[row.axis] = axis
+            self.axes[name] = axis
         before = axis.condition
         look = axis.add(row)
         if look is not None:
@@ -306,17 +308,18 @@ class FleetWatch:
 
     def _keep(self, look: Look, changed: bool) -> None:
         """Write the memory of the alarms, and a row of the table if one is due."""
-        self._kept[look.axis] = self.axes[look.axis].kept()
+        name = look.axis
+        self._kept[name] = self.axes[name].kept()
         write_text(self._memory_file, json.dumps(self._kept, indent=1))
-        best = self._best.get(look.axis)
+        best = self._best.get(name)
         wide = np.inf if best is None else best.leak.high - best.leak.low
         if look.leak.high - look.leak.low < wide:  # not of a look without an answer: NaN
-            self._best[look.axis] = best = look
-        rows = self.table["until"][self.table["axis"] == look.axis]
+            self._best[name] = best = look
+        rows = self.table["until"][self.table["axis"] == name]
         last = 0.0 if rows.empty else float(np.datetime64(rows.max(), "s").astype(np.int64))
         if best is not None and (changed or look.time - last >= READING_EVERY):
             self._write(look, best)
-            del self._best[look.axis]
+            del self._best[name]
 
     def _write(self, look: Look, best: Look) -> None:
         kind = {Condition.GOOD: Kind.HEALTHY, Condition.CHECK: Kind.UNKNOWN}
