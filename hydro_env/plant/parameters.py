@@ -147,8 +147,15 @@ def to_vector(parameters: PlantParameters) -> Floats:
 
 def from_vector(vector: Floats) -> PlantParameters:
     """The inverse of :func:`to_vector`; validates."""
-    values: dict[str, ByName] = {}
-    for path, value in zip(PARAMETER_PATHS, vector.tolist(), strict=True):
+    values = dict(zip(PARAMETER_PATHS, vector.tolist(), strict=True))
+    values |= {path: choices[int(values[path])] for path, choices in MODEL_CODES.items()}
+    return PlantParameters.from_dict(grouped(values))
+
+
+def grouped(values: Mapping[str, Any]) -> dict[str, ByName]:
+    """Values by ``group.field`` as nested groups."""
+    groups: dict[str, ByName] = {}
+    for path, value in values.items():
         group, field = path.split(".")
-        values.setdefault(group, {})[field] = MODEL_CODES[path][int(value)] if path in MODEL_CODES else value
-    return PlantParameters.from_dict(values)
+        groups.setdefault(group, {})[field] = value
+    return groups

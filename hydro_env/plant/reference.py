@@ -56,8 +56,7 @@ def reference_states(
     """
     plant = _Plant(coefficients, structure)
     of_axis = functions_of(structure)
-    states = np.empty((len(inputs) + 1, len(start)))
-    states[0] = start
+    states = np.tile(start, (len(inputs) + 1, 1))
     for sample, voltage in enumerate(inputs):
         state, time = of_axis.command_changed(states[sample], coefficients, voltage), 0.0
         for _ in range(_MOST_EVENTS):

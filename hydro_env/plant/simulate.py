@@ -237,8 +237,7 @@ def _run(
     plants = Plants(
         everything, coefficients[None], np.empty((1, 1)), np.full((1, 1), sample_time), np.empty((1, N_PEAKS))
     )
-    states = np.empty((len(inputs) + 1, len(start)))
-    states[0] = start
+    states = np.tile(start, (len(inputs) + 1, 1))
     for sample, voltage in enumerate(inputs):
         plants.voltage[0, 0] = voltage
         integrate(plants, accuracy, 0, 1)

@@ -10,7 +10,7 @@ from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.errors import at
 from hydro_env.files import Group, validate, whole_group
 from hydro_env.mistakes import did_you_mean, refuse_unknown
-from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, grouped
 from hydro_env.task.faults import FAULTS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
 from hydro_env.task.rig import merged, task_from
@@ -121,11 +121,7 @@ class Surroundings(Group):
         fixed = dict(self.parameters)
         for path, factor in self.factors.items():
             fixed[path] = factor * own_value(task.plant, path)
-        groups: dict[str, dict[str, float | str]] = {}
-        for path, value in fixed.items():
-            group, field = path.split(".")
-            groups.setdefault(group, {})[field] = value
-        return groups
+        return grouped(fixed)
 
 
 def read_task(given: Any, file: Path) -> Any:

@@ -21,6 +21,7 @@ from hydro_agents.running.tasks import own_reference
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig, task_config
 from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.analysis import reachable_range
+from hydro_env.plant.parameters import grouped
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.record import FAILURES
 from hydro_env.types import ByName, Floats, Indices
@@ -154,10 +155,8 @@ def _play(block: CBlock, config: TaskConfig, scene: Scene) -> Take:
     changes: ByName = {"command_latency": late, "command_latency_range": None}
     task = task_config(own_reference(config, reference), **changes)
     env = ServoHydraulicVectorEnv(1, task, info=False)
-    options: ByName = {"leakage_flow_lpm": scene.leak, "initial_position": targets[1], "parameters": {}}
-    for path, factor in scene.factors.items():
-        group, name = path.split(".")
-        options["parameters"][group] = {name: factor * own_value(config.plant, path)}
+    changed = {path: factor * own_value(config.plant, path) for path, factor in scene.factors.items()}
+    options = {"leakage_flow_lpm": scene.leak, "initial_position": targets[1], "parameters": grouped(changed)}
     env.reset(seed=[CONTROLLER_VECTORS.first], options=options)
     sensors = [one.name for one in signals.signals if one.sensor and one.name in block.names]
     rows: list[tuple[float, ...]] = []

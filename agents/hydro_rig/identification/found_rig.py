@@ -10,6 +10,7 @@ import yaml
 from hydro_agents.rigs.rig_file import unit_in_file
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import PlantParameters, TaskConfig, flow_from_resistance, resistance_from_flow
+from hydro_env.plant.parameters import grouped
 from hydro_env.plant.parts.leakage import LEAK_LAWS, leak_past_piston
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.types import ByName
@@ -52,11 +53,7 @@ def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
 
 def found_plant(fit: Fit, config: TaskConfig) -> PlantParameters:
     """The plant with the most probable values."""
-    groups: dict[str, dict[str, float]] = {}
-    for path, value in found_values(fit, config).items():
-        group, field = path.split(".")
-        groups.setdefault(group, {})[field] = value
-    return config.plant.replace(**groups)
+    return config.plant.replace(**grouped(found_values(fit, config)))
 
 
 def narrowed(fit: Fit, config: TaskConfig, ranges: Ranges) -> dict[str, ByName]:
