@@ -121,9 +121,7 @@ def _evaluate_detectors(head: Path | None, options: "Options") -> None:
     from hydro_agents.evaluation.leak_protocol import LeakProtocol, make_detector
 
     protocol, own = options.read(LeakProtocol), {} if head is None else {"weights": str(head)}
-    detectors = {}
-    for name, choice in protocol.detectors.items():
-        detectors[name] = make_detector(choice.model_copy(update=own))
+    detectors = {name: make_detector(choice.model_copy(update=own)) for name, choice in protocol.detectors.items()}
     run_protocol(protocol, detectors, options, LEAKAGE_PAGE, protocol)
 
 

@@ -169,10 +169,8 @@ def tell_rigs(study: "StudySettings", controllers: "Mapping[str, Controller]") -
     """Name on standard error, in one line, the controllers that were made for another rig than the study's."""
     from hydro_agents.learning.loading import outside_training, trained_elsewhere
 
-    notes, foreign = [], []
-    for name, controller in controllers.items():
-        if trained_elsewhere(controller, study.task):
-            foreign.append(name)
+    notes = []
+    foreign = [name for name, controller in controllers.items() if trained_elsewhere(controller, study.task)]
     if untuned := [name for name in study.tuned if name in controllers]:
         notes.append(f"{', '.join(untuned)}: gains as given, not tuned for this rig")
     if foreign:

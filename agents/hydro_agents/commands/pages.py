@@ -87,10 +87,8 @@ def example_traces(results: Results) -> list[Example]:
         name = split_name(label)[0]
         if families and name in results.controllers and name not in runs:
             runs[name] = run_cases(protocol.task, controller, cases)
-    examples = []
-    for case, (family, leak) in enumerate(product(families, leaks)):
-        examples.append(Example(FAMILY_NAMES[family], leak, runs, case))
-    return examples
+    kinds = enumerate(product(families, leaks))
+    return [Example(FAMILY_NAMES[family], leak, runs, case) for case, (family, leak) in kinds]
 
 
 def summary(results: Results) -> Iterator[Table]:

@@ -127,7 +127,7 @@ def repaired(signals: Array, sheet: Sheet) -> Repaired:
 
     Without any reading of the spool, the usual valve's response to the commands takes its place.
     """
-    values = np.ascontiguousarray(signals, dtype=float)
+    values = np.ascontiguousarray(signals, float)
     result = Repaired(np.empty_like(values), np.empty((len(values), len(SENSORS))))
     repair(values, sheet, *result)
     return result
@@ -146,11 +146,11 @@ def bounds_of(config: TaskConfig) -> Floats:
         judged = config.sensors.enabled and sensor.noise >= sensor.resolution and sensor.noise > 0.0
         step = max(0.5 * sensor.resolution, 1e-6 * (sensor.high - sensor.low))
         rows.append((sensor.low + step, sensor.high - step, shortest if judged else np.inf))
-    return np.array(rows, dtype=float)
+    return np.array(rows, float)
 
 
 def stuck_sensors(signals: Floats, config: TaskConfig) -> Mask:
     """Whether each sensor of the task is stuck in each window, (N, 4), of signals (N, 5, T) in SI units."""
     stuck = np.empty((len(signals), len(SENSORS)))
-    find_stuck(np.ascontiguousarray(signals, dtype=float), bounds_of(config), stuck)
+    find_stuck(np.ascontiguousarray(signals, float), bounds_of(config), stuck)
     return stuck > 0.0

@@ -183,10 +183,7 @@ def _lengths(
     shortest, longest = config.steps, settings.longest_window(config)
     # Whole lengths in a few steps: the windows of one length are read together.
     choices = np.unique(np.geomspace(shortest, longest, 5).round().astype(int))
-    sizes = []
-    for turn in range(WINDOWS):
-        size = choices[0] if turn % 2 == 0 else generator.choice(choices)
-        sizes.append(int(size))
+    sizes = [int(generator.choice(choices) if turn % 2 else choices[0]) for turn in range(WINDOWS)]
     if not changing:
         return sizes, longest + longest // 4
     size = int(generator.choice(sizes))

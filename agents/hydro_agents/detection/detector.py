@@ -119,10 +119,11 @@ class Windows:
         signals, begin, end = (
             np.concatenate([getattr(part, name) for part in parts]) for name in ("signals", "begin", "end")
         )
-        auxiliary = {}
-        for name in AUXILIARY:
-            if any(name in part.auxiliary for part in parts):
-                auxiliary[name] = np.concatenate([part.auxiliary_signal(name) for part in parts])
+        auxiliary = {
+            name: np.concatenate([part.auxiliary_signal(name) for part in parts])
+            for name in AUXILIARY
+            if any(name in part.auxiliary for part in parts)
+        }
         return cls(signals, begin, end, auxiliary)
 
     def __len__(self) -> int:

@@ -208,9 +208,7 @@ def _label(value: Any) -> str:
 
 def as_text(frame: pd.DataFrame, caption: str) -> Table:
     """A data frame as a table of texts, for the console."""
-    rows = []
-    for name, cells in zip(frame.index, frame.to_numpy(object), strict=True):
-        rows.append((str(name), *map(shown, cells)))
+    rows = [(str(name), *map(shown, cells)) for name, *cells in frame.itertuples(name=None)]
     return Table(caption, ("", *map(str, frame)), rows)
 
 

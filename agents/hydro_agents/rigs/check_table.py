@@ -69,9 +69,11 @@ def brief(rows: Sequence[RigFigure], parameters: PlantParameters) -> list[tuple[
     verdict, watch = "it works", _watched(figures, healthy.value)
     if "no gain" in figures:
         verdict = f"no recommended gain: {figures['no gain'].at}"
-    for frequency, what, _, with_gain in resonances:
-        if with_gain < 0.0:
-            watch.append(f"the recommended gain excites the resonance at {frequency:.3g} Hz ({what}): take less")
+    watch += [
+        f"the recommended gain excites the resonance at {frequency:.3g} Hz ({what}): take less"
+        for frequency, what, _, with_gain in resonances
+        if with_gain < 0.0
+    ]
     return [*facts.items(), ("verdict", "; ".join([verdict, *watch]))]
 
 

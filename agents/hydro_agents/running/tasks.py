@@ -116,12 +116,10 @@ class Surroundings(Group):
         }
         return validate(TaskConfig, merged(task.model_dump(), {"sensors": sensors}), f"{where}: task")
 
-    def parameters_on(self, task: TaskConfig) -> dict[str, dict[str, float | str]]:
+    def parameters_on(self, task: TaskConfig) -> dict[str, ByName]:
         """Fixed parameters of every plant of a task, for the option ``parameters`` of ``reset``."""
-        fixed = dict(self.parameters)
-        for path, factor in self.factors.items():
-            fixed[path] = factor * own_value(task.plant, path)
-        return grouped(fixed)
+        relative = {path: factor * own_value(task.plant, path) for path, factor in self.factors.items()}
+        return grouped(self.parameters | relative)
 
 
 def read_task(given: Any, file: Path) -> Any:

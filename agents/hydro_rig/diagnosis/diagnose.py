@@ -180,9 +180,8 @@ def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:
     """The reading of each window, one row each; leaks in l/min at 100 bar."""
     windows, reading = diagnosis.windows, diagnosis.reading
     table = pd.DataFrame({"begin_s": windows.begin, "end_s": windows.end}).round(6)
-    sizes = {"leak": reading.flow_lpm, "low": reading.low_lpm, "high": reading.high_lpm}
-    for name, values in sizes.items():
-        table[name] = np.maximum(values, 0.0).round(5)
+    sizes = [reading.flow_lpm, reading.low_lpm, reading.high_lpm]
+    table[["leak", "low", "high"]] = np.maximum(sizes, 0.0).round(5).T
     return table.assign(counts=reading.answers, fault=reading.fault, remark=reading.remarks)
 
 

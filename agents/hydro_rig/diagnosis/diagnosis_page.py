@@ -13,7 +13,7 @@ from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised
 from hydro_env.files import write_text
-from hydro_env.types import ByName, Floats
+from hydro_env.types import Array, ByName, Floats
 from hydro_rig.diagnosis.diagnose import Diagnosis, leak_table
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.identification.identification_page import findings_frame, rig_line
@@ -99,7 +99,7 @@ def diagnosis_page(
     return page
 
 
-def draw_signals(axes: Sequence[Axes], time: Floats, signals: Floats) -> None:
+def draw_signals(axes: Sequence[Axes], time: Array, signals: Floats) -> None:
     """The signals (5, T) over time, one panel each of :data:`PANELS`."""
     for one, (factor, names) in zip(axes, PANELS.values(), strict=True):
         for name in names:

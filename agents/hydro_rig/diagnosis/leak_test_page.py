@@ -39,7 +39,7 @@ def write_plan(folder: Path, plan: Plan, command: str) -> None:
     columns = {"time [s]": np.round(period * np.arange(len(openings)), 6), "opening [1]": openings}
     table = pd.DataFrame(columns | {"voltage [V]": FULL_VOLTAGE * openings})
     write_text(folder / "commands.csv", table.to_csv(index=False, float_format="%.6g"))
-    time = period * np.arange(plan.signals.shape[2], dtype=float)
+    time = period * np.arange(plan.signals.shape[2])
     write_text(folder / "simulated.csv", recording_csv(time, plan.signals[0], f"{command}: leak {SIMULATED_LEAK:g}"))
     plan_page(plan).write(folder / "plan.html", Origin.now(command))
 
@@ -54,7 +54,7 @@ def plan_page(plan: Plan) -> Page:
     rows = [(100.0 * step.opening, step.seconds, step.what) for step in plan.steps]
     begin = np.cumsum([0.0, *(step.seconds for step in plan.steps[:-1])])
     page.table(pd.DataFrame(rows, begin, ["opening, %", "for, s", "what"]), "Steps, by their begin in s")
-    time = plan.task.control_period * np.arange(plan.signals.shape[2], dtype=float)
+    time = plan.task.control_period * np.arange(plan.signals.shape[2])
     axes = time_panels(tuple(PANELS), 5.0)
     draw_signals(axes, time, plan.signals[0])
     page.figure(axes, f"A simulated axis with a worn valve, leak {SIMULATED_LEAK:g} l/min")

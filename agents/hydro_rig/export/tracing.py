@@ -40,13 +40,16 @@ def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, Array
         TraceError: a graph cannot represent the function; the message names the line.
     """
     builder = Builder()
-    traced, outputs = {}, {}
-    for name, value in inputs.items():
-        traced[name] = _traced(builder, builder.input(name, np.size(value), value.dtype), value)
+    traced = {
+        name: _traced(builder, builder.input(name, np.size(value), value.dtype), value)
+        for name, value in inputs.items()
+    }
     with np.errstate(all="ignore"):
         results = function(**traced)
-    for name, result in results.items():
-        outputs[name] = result.node() if isinstance(result, Traced) else builder.constant(result)
+    outputs = {
+        name: result.node() if isinstance(result, Traced) else builder.constant(result)
+        for name, result in results.items()
+    }
     return Graph(builder.inputs, outputs)
 
 

@@ -33,10 +33,11 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
     holds = found.holds
     used = found.part(np.flatnonzero(holds)) if holds.any() else found
     end = "used" if holds.any() else "the model still does not hold"
-    odd = []
-    for part, count in Counter(part for parts in found.parts for part in parts).items():
-        if count >= MOST_DIFFER * len(found):
-            odd.append(("model", f"shows {part} that the assumed rig lacks"))
+    odd = [
+        ("model", f"shows {part} that the assumed rig lacks")
+        for part, count in Counter(part for parts in found.parts for part in parts).items()
+        if count >= MOST_DIFFER * len(found)
+    ]
     latency, rise_time = float(np.median(used.latency)), float(np.median(used.rise_time))
     odd += off_the_sheet(latency, rise_time, np.median(used.white, axis=0), task)
     spiky = []

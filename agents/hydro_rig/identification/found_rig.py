@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from copy import deepcopy
 from typing import Any, NamedTuple
 
 import yaml
@@ -13,6 +12,7 @@ from hydro_env import PlantParameters, TaskConfig, flow_from_resistance, resista
 from hydro_env.plant.parameters import grouped
 from hydro_env.plant.parts.leakage import LEAK_LAWS, leak_past_piston
 from hydro_env.task.randomisation import Distribution, own_value
+from hydro_env.task.rig import merged
 from hydro_env.types import ByName
 from hydro_env.units import FACTORS
 from hydro_rig.estimation.unknowns import (
@@ -120,11 +120,8 @@ def _external(low: float, high: float, given: Distribution) -> ByName:
 
 def rig_yaml(rig: ByName, fit: Fit, config: TaskConfig, ranges: Ranges, notes: list[str]) -> str:
     """The given rig file with the identified values and the narrowed ranges; the notes stand at its top."""
-    values = deepcopy(dict(rig))
     found = found_values(fit, config)
-    for path, value in found.items():
-        group, field = path.split(".")
-        values.setdefault(group, {})[field] = _with_unit(path, value)
+    values = merged(rig, grouped({path: _with_unit(path, value) for path, value in found.items()}))
     if "valve.knee_opening" in found:
         values["valve"]["knee_position"] = config.plant.valve.knee_position
     # The parameters stay in their groups; the narrowed ranges replace the old ones.

@@ -182,10 +182,11 @@ def as_json(found: Identification, command: str) -> Any:
     for one in fit.unknowns:
         unit = "l/min at 100 bar" if one.name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI"
         unknowns[one.name] = one._asdict() | {"unit": unit, "determined": fit.knows(one)}
-    parts = []
-    for part in found.held_back:
-        place = {"recording": sources[part.recording], "from_s": part.begin, "to_s": part.begin + float(part.time[-1])}
-        parts.append(place | sizes(part.whole))
+    parts = [
+        {"recording": sources[part.recording], "from_s": part.begin, "to_s": part.begin + float(part.time[-1])}
+        | sizes(part.whole)
+        for part in found.held_back
+    ]
     whole = {
         "command": command,
         "hydro_env": __version__,

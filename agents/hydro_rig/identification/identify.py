@@ -125,8 +125,8 @@ class Identification:
         own = fit.own()
         latency = own.get(LATENCY, config.command_latency)
         rise_time = own.get(RISE_TIME, config.sensors.pressure_rise_time)
-        for signal, what in off_the_sheet(latency, rise_time, fit.noise, config):
-            notes.append(f"{signal} {what}: used.")
+        odd = off_the_sheet(latency, rise_time, fit.noise, config)
+        notes += [f"{signal} {what}: used." for signal, what in odd]
         if self.beyond:
             notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
         if self.beyond == [shown(RATED_FLOW).words]:

@@ -91,9 +91,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     differential = LOAD_PRESSURE in values
     if differential:
         values["pressure_a"], units["pressure_a"] = values.pop(LOAD_PRESSURE), units.pop(LOAD_PRESSURE)
-    for signal in MEASURED:
-        if signal not in values:
-            findings.append(Finding(signal, "was not recorded"))
+    findings += [Finding(signal, "was not recorded") for signal in MEASURED if signal not in values]
     known = np.isfinite(stamps)
     if not known.all():
         share = float(1.0 - known.mean())

@@ -12,7 +12,7 @@ from hydro_agents.detection.detector import measured_run
 from hydro_agents.running.cases import Cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import write_text
-from hydro_env.types import Floats
+from hydro_env.types import Array, Floats
 from hydro_rig.recordings.columns import MEASURED, factor
 
 WRITTEN_UNITS = {
@@ -78,12 +78,12 @@ def record_axis(
     failed = bool(run.failed_at[0] >= 0)
     rows = int(run.failed_at[0]) + 1 if failed else config.steps
     duration = rows * config.control_period
-    time = np.arange(rows, dtype=float) * config.control_period
+    time = np.arange(rows) * config.control_period
     write_text(path, recording_csv(time, signals[0, :, :rows], note))
     return Recorded(rows, duration, float(run.leakage_flow_lpm[0]), duration if failed else None)
 
 
-def recording_csv(time: Floats, signals: Floats, note: str = "") -> str:
+def recording_csv(time: Array, signals: Floats, note: str = "") -> str:
     """A recording as CSV text; ``time`` (n,), s; ``signals`` (5, n), SI, in the order of MEASURED; NaN: absent."""
     values = dict(zip(MEASURED, signals, strict=True))
     table = pd.DataFrame({heading("time"): np.round(time, 6)})

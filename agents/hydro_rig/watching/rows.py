@@ -83,7 +83,7 @@ class RowReader:
 
     def __init__(self, fleet: Fleet, tag: str = TAG) -> None:
         self._fleet, self._tag = fleet, tag
-        self._headings: list[str] | None = None  # of a CSV
+        self._headings: list[str] = []  # of a CSV
         self._separator = ","
         self._columns: dict[tuple[str, ...], _Columns] = {}  # by axis and headings
         self._gathered: dict[str, tuple[float, dict[str, str]]] = {}  # line protocol: time and fields, by axis
@@ -100,7 +100,7 @@ class RowReader:
         text = line.strip("\ufeff\r\n ")
         if not text or text.startswith("#"):
             return None
-        if self._headings is not None:
+        if self._headings:
             return self._of_cells(text)
         parts = _PARTS.split(text)
         if self._gathered or "=" in parts[-1 if len(parts) < 3 else 1]:
@@ -120,7 +120,6 @@ class RowReader:
         return self._columns[key]
 
     def _of_cells(self, text: str) -> Row | None:
-        assert self._headings is not None
         cells = [cell.strip().strip('"') for cell in text.split(self._separator)]
         axis = ALONE
         if set(cells) == set(self._headings):  # another file begins

@@ -112,9 +112,14 @@ def write_table(path: Path, table: pd.DataFrame) -> None:
 def with_row(table: pd.DataFrame, file: File, found: ByName) -> pd.DataFrame:
     """The table with the row of a file, in place of an older one of the same file; in the order of axis and time."""
     old = table["file"] == file.name
-    row = {**found, "axis": file.axis, "file": file.name, "bytes": file.size}
-    row |= {"time": stamp(found["time"]), "until": stamp(found["until"])}
-    row["repaired"] = "".join(table["repaired"][old][:1])
+    row = found | {
+        "axis": file.axis,
+        "file": file.name,
+        "bytes": file.size,
+        "time": stamp(found["time"]),
+        "until": stamp(found["until"]),
+        "repaired": "".join(table["repaired"][old][:1]),
+    }
     fresh = pd.DataFrame([row]).round(5)
     whole = pd.concat([table[~old], fresh], ignore_index=True) if (~old).any() else fresh
     names = [*COLUMNS, *(name for name in table if name not in COLUMNS)]
