@@ -67,8 +67,7 @@ def study_page(configuration: str) -> PageOf:
     """The page of a study with these settings (YAML)."""
 
     def draw(results: Results) -> Page:
-        examples = example_traces(results)
-        return controllers_page(results.protocol.title, results.tables(), examples, configuration)
+        return controllers_page(results.protocol.title, results.tables(), example_traces(results), configuration)
 
     return PageOf("report.html", draw, summary, remarks)
 

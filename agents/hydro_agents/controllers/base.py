@@ -129,7 +129,7 @@ class ObservationLayout:
     def previews(self, observation: Observation) -> Floats:
         """Future reference minus present reference, m, shape (N, previews)."""
         columns = [i for i, name in enumerate(self.names) if name.startswith("reference_preview_")]
-        scale = np.array([self.scale[i] for i in columns], dtype=np.float64)
+        scale = np.array([self.scale[i] for i in columns], float)
         return observation[:, columns].astype(np.float64) * scale
 
 
@@ -269,6 +269,6 @@ def restarted(memory: Memory | None, fresh: Memory, episode_start: Mask | None) 
         return fresh
     if episode_start is None or not np.any(episode_start):
         return memory
-    started = np.asarray(episode_start, dtype=np.bool_)
+    started = np.asarray(episode_start, bool)
     pairs = zip(memory, fresh, strict=True)
     return type(memory)(*(np.where(started.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in pairs))

@@ -76,7 +76,7 @@ class PID(ClassicalController):
 
     def __init__(self, gains: PIDGains, config: TaskConfig) -> None:
         super().__init__(gains, config)
-        counts, self._shown = np.unique(np.array(config.preview_samples, dtype=np.int64), return_index=True)
+        counts, self._shown = np.unique(np.array(config.preview_samples, np.int64), return_index=True)
         self._times = config.control_period * np.array([0, *counts])
         self._jump = max(speed_limits(config.plant))
         self._middles = 0.5 * (self._times[1:] + self._times[:-1])

@@ -22,10 +22,10 @@ class Preview:
     """
 
     def __init__(self, config: TaskConfig) -> None:
-        counts, self._columns = np.unique(np.array(config.preview_samples, dtype=np.int64), return_index=True)
+        counts, self._columns = np.unique(np.array(config.preview_samples, np.int64), return_index=True)
         self._layout = ObservationLayout.of(config)
         self.horizon = int(counts[-1]) if len(counts) else 0
-        self.counts = tuple(int(count) for count in counts)
+        self.counts = tuple(counts.tolist())
         """Periods ahead of the samples that an observation shows, rising."""
         self.times = config.control_period * np.arange(1.0, self.horizon + 1)
         """s from now to each future sample of the memory, (horizon,)."""

@@ -88,7 +88,7 @@ class SampledLoop:
         low, high = gains[first - 1], gains[first]
         while high / low > 1.0 + 1e-9:
             middle = float(np.sqrt(low * high))
-            low, high = (low, middle) if self.spectral_radius(middle) > 1.0 + _NEUTRAL else (middle, high)
+            low, high = (middle, high) if self.is_stable(middle) else (low, middle)
         return float(low)
 
     def phase_margin(self, gain: float) -> float:

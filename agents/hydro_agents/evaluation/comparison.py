@@ -118,14 +118,14 @@ class Grid:
         """Columns of one row of a comparison over some plants and situations of both controllers."""
         mine, theirs = self.pair(controller, against, ERROR, plants, situations)
         sensed, their_sensed = self.pair(controller, against, ERROR_SENSOR, plants, situations)
-        kinds = list(self._kinds(plants, situations))
+        kinds = self._kinds(plants, situations)
         ratios = mine.values / theirs.expected
         better = np.where(np.isnan(ratios), np.nan, mine.values < theirs.expected)
         statistics = {
             "ratio": mine.mean / theirs.mean,
-            "equal_weight": _geometric_mean(_ratios(mine, theirs, kinds)),
+            "equal_weight": _equal_weight(mine, theirs, kinds),
             "ratio_sensor": sensed.mean / their_sensed.mean,
-            "equal_weight_sensor": _geometric_mean(_ratios(sensed, their_sensed, kinds)),
+            "equal_weight_sensor": _equal_weight(sensed, their_sensed, kinds),
             "share_better": means(better, mine.weights),
         }
         row: dict[str, float] = {}
@@ -136,12 +136,14 @@ class Grid:
             row[name] = _ratio(*self.pair(controller, against, metric.name, plants, situations))
         return row | {"cases": int((~np.isnan(mine.values)).sum())}
 
-    def _kinds(self, plants: Mask, situations: Mask) -> Iterator[tuple[Mask, Mask]]:
+    def _kinds(self, plants: Mask, situations: Mask) -> list[tuple[Mask, Mask]]:
         """The plants of each family, and the situations of each condition."""
         families, conditions = self.family[plants], self.condition[situations]
-        for condition in dict.fromkeys(conditions.tolist()):
-            for family in dict.fromkeys(families.tolist()):
-                yield families == family, conditions == condition
+        return [
+            (families == family, conditions == condition)
+            for condition in dict.fromkeys(conditions.tolist())
+            for family in dict.fromkeys(families.tolist())
+        ]
 
 
 def _places(known: pd.DataFrame, rows: pd.DataFrame) -> NDArray[np.intp]:
@@ -149,18 +151,15 @@ def _places(known: pd.DataFrame, rows: pd.DataFrame) -> NDArray[np.intp]:
     return pd.MultiIndex.from_frame(known).get_indexer(pd.MultiIndex.from_frame(rows[list(known)]))
 
 
-def _ratios(mine: Sample, theirs: Sample, kinds: list[tuple[Mask, Mask]]) -> Floats:
-    """Ratio of the mean errors for each kind that has cases, in every resampling: (rows, R + 1)."""
+def _equal_weight(mine: Sample, theirs: Sample, kinds: list[tuple[Mask, Mask]]) -> Floats:
+    """Geometric mean of the ratios of the mean errors over the kinds that have cases, in every resampling, (R + 1,)."""
     ratios = []
     for kind in kinds:
         own, base = mine.part(*kind), theirs.part(*kind)
         if own.plants and base.plants:
             ratios.append(own.mean / base.mean)
-    return np.array(ratios) if ratios else np.full((1, len(mine.weights.plants)), np.nan)
-
-
-def _geometric_mean(ratios: Floats) -> Floats:
-    """Over the rows, all with the same weight."""
+    if not ratios:
+        return np.full(len(mine.weights.plants), np.nan)
     return np.exp(np.mean(np.log(ratios), axis=0))
 
 

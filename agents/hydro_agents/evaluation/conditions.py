@@ -139,8 +139,13 @@ class Protocol(Group, Generic[AnyCondition]):
         """One row per condition: group, label, changes (JSON), and what its kind tells."""
         for name, condition in self.conditions.items():
             changes = condition.model_dump(mode="json", exclude_defaults=True, exclude=set(self.unchanged))
-            row = {"condition": name, "group": condition.group, "label": condition.label or name}
-            yield row | {"changes": json.dumps(changes, ensure_ascii=False)} | self.known_of(name)
+            yield {
+                "condition": name,
+                "group": condition.group,
+                "label": condition.label or name,
+                "changes": json.dumps(changes, ensure_ascii=False),
+                **self.known_of(name),
+            }
 
     @cached_property
     def sha256(self) -> str:

@@ -66,8 +66,12 @@ def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: 
     cases = cases_of(number, plants)
     run = run_cases(task, controller, cases)
     returns = run.reward.sum(axis=1)
-    found = {"rig": number, **errors_of(run, cases, own.plant.cylinder.stroke)}
-    found |= {"return": returns.mean(), "return_sd": returns.std()}
+    found = {
+        "rig": number,
+        **errors_of(run, cases, own.plant.cylinder.stroke),
+        "return": returns.mean(),
+        "return_sd": returns.std(),
+    }
     return {name: np.array([value]) for name, value in found.items()}
 
 
@@ -104,7 +108,7 @@ def in_words(ratio: pd.Series) -> list[str]:
     chosen = np.random.default_rng(0).integers(0, len(ratio), (RESAMPLES, len(ratio)))
     low, high = np.quantile(np.median(ratio.to_numpy()[chosen], axis=1), [0.025, 0.975])
     return [
-        str(len(ratio)),
+        f"{len(ratio)}",
         f"{ratio.median():.3f} ({low:.3f}–{high:.3f})",
         f"{np.exp(np.log(ratio).mean()):.3f}",
         f"{int((ratio < 1.0).sum())}",

@@ -228,10 +228,9 @@ def simulated_windows(config: TaskConfig, acting: str, cases: Cases, samples: in
     signals, run = measured_run(config, controller, cases)
     spare = config.steps - samples
     places = [np.random.default_rng([int(seed), 13]).integers(spare // 2, spare + 1) for seed in cases.seeds]
-    error = 1e3 * np.abs(run.position.astype(float) - run.reference).mean(axis=1)
     return cut(signals, np.array(places), samples), {
         "seed": cases.seeds.astype(float),
         "leak_lpm": run.leakage_flow_lpm.astype(float),
-        "error_mm": error,
+        "error_mm": 1e3 * np.abs(run.position.astype(float) - run.reference).mean(axis=1),
         "failed": (run.failed_at >= 0).astype(float),
     }

@@ -143,8 +143,6 @@ COMPARED = {
 def standstills(reference: Array, period: float) -> list[tuple[int, int]]:
     """Stretches [first, last) of samples on which the reference is constant after it has moved."""
     moving = np.flatnonzero(np.diff(reference) != 0.0) + 1
-    if len(moving) == 0:
-        return []
     edges = [*moving.tolist(), len(reference)]
     shortest = math.ceil(STANDSTILL / period - 1e-9)
     return [(a, b) for a, b in pairwise(edges) if b - a >= shortest]

@@ -218,9 +218,7 @@ class Participants:
 
 
 def participants(
-    controllers: Mapping[str, Controller | str | Path],
-    protocol: RobustnessProtocol,
-    corrects: Mapping[str, str] | None = None,
+    controllers: Mapping[str, Controller | str | Path], protocol: RobustnessProtocol, corrects: Mapping[str, str] = {}
 ) -> Participants:
     """Make the controllers of a protocol.
 
@@ -242,7 +240,7 @@ def participants(
         if same != name:
             raise ConfigurationError(f"controllers '{same}' and '{name}': name the same training seed of a controller")
     ready = {name: load_controller(what, protocol.task, name) for name, what in controllers.items()}
-    return Participants(ready, corrects or {})
+    return Participants(ready, corrects)
 
 
 def split_name(name: str) -> tuple[str, int]:

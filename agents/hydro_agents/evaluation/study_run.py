@@ -25,6 +25,7 @@ from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest, rest_text
 from hydro_agents.running.seeds import SEED_MARK, STANDSTILLS, TRIAL_RUN
+from hydro_agents.running.text import capitalised
 from hydro_env import ConfigurationError
 from hydro_env.errors import at
 from hydro_env.files import read_yaml, write_text, write_yaml
@@ -194,7 +195,7 @@ def tune_controller(
     made = CONTROLLERS[entry.kind][0](tuned.gains, study.task)
     found = counted_at_rest(made, study.task, STANDSTILLS, STANDSTILL_CASES)
     note = f"{rest_text(found)} (drawn plants and leaks, without sensor noise)"
-    write_text(file, gains_text(tuned.gains, note[0].upper() + note[1:]))
+    write_text(file, gains_text(tuned.gains, capitalised(note)))
     cost = f"{1e3 * tuned.cost:.4f} mm on training cases, geometric mean of the families"
     display.say(f"{name}: {cost}, cost of command changes included")
     if not comes_to_rest(found):

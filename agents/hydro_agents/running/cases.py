@@ -157,7 +157,7 @@ def run_cases(
     reference = axes.reference[:, 1 : steps + 1].astype(np.float32)
     signals = None
     if signal_columns is not None:
-        signals = np.zeros((steps, count, len(signal_columns)), dtype=np.float32)
+        signals = np.zeros((steps, count, len(signal_columns)), np.float32)
     failed_at = np.full(count, -1)
     flow = axes.column("leak_flow").copy()
     bias = axes.column("bias")[:, POSITION].copy()
@@ -169,12 +169,12 @@ def run_cases(
         started = np.full(count, step == 0)
         action, memory = _act(controller, observation, memory, started, alive, cases, step * rig.control_period)
         observation, rewards, terminated, _, _ = env.step(action)
-        state, flow_drawn = axes.state, axes.derived()[:, _SUPPLY_FLOW]
+        state = axes.state
         now = {
             "position": axes.column("position"),
             "command": axes.column("command"),
             "spool": state[:, _SPOOL],
-            "supply_power": state[:, _SUPPLY_PRESSURE] * flow_drawn,
+            "supply_power": state[:, _SUPPLY_PRESSURE] * axes.derived()[:, _SUPPLY_FLOW],
             "reward": rewards,
         }
         for name, trace in traces.items():  # a failed axis keeps its values, while its reference continues

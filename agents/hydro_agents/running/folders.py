@@ -87,13 +87,12 @@ def _listed(folder: Path, job: str, writes: Sequence[str], resume: bool | None, 
 
     A killed command leaves the first one, which names its files too.
     """
-    files = {}
-    if os.path.lexists(folder / MANIFEST_FILE):
+    files, manifest = {}, folder / MANIFEST_FILE
+    if os.path.lexists(manifest):
         try:
-            files = dict(read_json(folder / MANIFEST_FILE)["files"])
+            files = dict(read_json(manifest)["files"])
         except (KeyError, TypeError, ValueError):
-            foreign = folder / MANIFEST_FILE
-            raise ConfigurationError(f"{foreign}: is not hydro's list of results; move it away") from None
+            raise ConfigurationError(f"{manifest}: is not hydro's list of results; move it away") from None
     earlier = _present(folder, files.pop(job, []))
     for name in _present(folder, writes):
         if name not in earlier:

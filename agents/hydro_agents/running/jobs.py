@@ -132,11 +132,8 @@ def run_jobs(listed: Mapping[str, Job], folder: Path | None, progress: Report | 
         ConfigurationError: a file cannot be written, or a worker was killed.
     """
     report = progress or (lambda *_: None)
-    results = {}
-    for key, job in listed.items():
-        stored = load_result(folder, job)
-        if stored is not None:
-            results[key] = stored
+    stored = {key: load_result(folder, job) for key, job in listed.items()}
+    results = {key: result for key, result in stored.items() if result is not None}
     mixed = [key for key in listed if key not in results]
     random.Random(0).shuffle(mixed)
     report("jobs", len(results), len(listed))

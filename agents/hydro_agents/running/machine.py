@@ -63,9 +63,8 @@ def package_versions() -> dict[str, str]:
     versions = {"python": platform.python_version(), "hydro_env": __version__}
     if commit():
         versions["commit"] = commit()
-    for name in ("gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch"):
-        versions[name] = version(name)
-    return versions
+    packages = ("gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
+    return versions | {name: version(name) for name in packages}
 
 
 def machine_description() -> str:

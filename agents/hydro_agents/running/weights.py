@@ -81,7 +81,7 @@ def save_checkpoint(path: Path, kind: str, tensors: Tensors, description: ByName
         ConfigurationError: the folder cannot be written.
     """
     text = json.dumps({"format": f"hydro_env {kind}", "format_version": CHECKPOINT_VERSION, **description})
-    content = {**tensors, _DESCRIPTION: np.frombuffer(text.encode(), dtype=np.uint8)}
+    content = {**tensors, _DESCRIPTION: np.frombuffer(text.encode(), np.uint8)}
     write_whole(path, _packed({**content, _DIGEST: _digest(content)}))
 
 
@@ -105,7 +105,7 @@ def _packed(tensors: Tensors) -> bytes:
 
 
 def _digest(tensors: Tensors) -> NDArray[np.uint8]:
-    return np.frombuffer(hashlib.sha256(_packed(tensors)).digest(), dtype=np.uint8)
+    return np.frombuffer(hashlib.sha256(_packed(tensors)).digest(), np.uint8)
 
 
 def digest_of_weights(content: bytes, settings: ByName) -> str:

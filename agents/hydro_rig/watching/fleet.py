@@ -11,6 +11,7 @@ from pydantic import Field
 
 from hydro_agents.detection.sheet import leak_scale
 from hydro_env import ConfigurationError, TaskConfig, task_config
+from hydro_env.errors import at
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_rig.diagnosis.oil import Oil
@@ -70,10 +71,8 @@ class Fleet(NamedTuple):
         axes = {}
         for name, own in settings.axes.items():
             whole = AxisSettings(**{**usual, **own.model_dump(exclude_unset=True)})
-            try:
+            with at(f"{path}: axes.{name}"):
                 axes[name] = Axis.of(whole, path.parent)
-            except ConfigurationError as error:
-                raise ConfigurationError(f"{path}: axes.{name}: {error}") from None
         return cls(next(iter(axes.values())), axes, str(path))
 
     @classmethod

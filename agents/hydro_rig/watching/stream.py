@@ -40,7 +40,7 @@ from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, bridged, cut, on_grid, sampled
 from hydro_rig.watching.fleet import Axis, Fleet
 from hydro_rig.watching.rows import TAG, Row, RowError, RowReader, in_protocol
-from hydro_rig.watching.table import File, read_table, with_row, write_table
+from hydro_rig.watching.table import SIZES, File, read_table, with_row, write_table
 from hydro_rig.watching.trend import Condition, finite
 
 KEPT = 10.0  # s of rows per axis, on which the wiring is checked
@@ -326,8 +326,8 @@ class FleetWatch:
         verdict = kind.get(look.condition, Kind.OTHER)
         if self.axes[look.axis].memory.alarm[0]:
             verdict = Kind.LEAK
-        sizes = {"size_40": best.leak.value, "low_40": best.leak.low, "high_40": best.leak.high}
-        row = {"time": best.time, "until": look.time, "verdict": verdict.value, "reason": look.cause, **sizes}
+        row: ByName = dict(zip(SIZES, best.leak, strict=True))
+        row |= {"time": best.time, "until": look.time, "verdict": verdict.value, "reason": look.cause}
         name = f"{look.axis}/watched {number(best.time, 12)}"
         table = read_table(self._file)  # a person may have marked a repair
         self.axes[look.axis].repair(table)

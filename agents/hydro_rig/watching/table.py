@@ -18,7 +18,8 @@ from hydro_env.types import ByName, Floats
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.recordings.files import ENDINGS
 
-NUMBERS = ("size_40", "low_40", "high_40", "temperature", "bytes")
+SIZES = ("size_40", "low_40", "high_40")
+NUMBERS = (*SIZES, "temperature", "bytes")
 TEXTS = ("time", "until", "axis", "file", "verdict", "reason", "repaired")
 COLUMNS = (*TEXTS[:5], *NUMBERS, *TEXTS[5:])
 """Sizes with the ends of their 90 % intervals in l/min at 100 bar and 40 °C; ``temperature`` of the oil in °C;

@@ -14,7 +14,7 @@ from hydro_rig.diagnosis.oil import Oil, common_error
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.watching.fleet import Axis
 from hydro_rig.watching.growth import NO_GROWTH, UNKNOWN, Growth, growth
-from hydro_rig.watching.table import seconds, stamp
+from hydro_rig.watching.table import SIZES, seconds, stamp
 
 DAY = 86400.0  # s
 LATEST, AGREE = 5, 3  # the state of an axis is the verdict on which three of its last five readings agree
@@ -148,7 +148,7 @@ def trend_of(name: str, rows: pd.DataFrame, axis: Axis, error: str, now: float |
     since = rows if np.isnan(repaired) else rows[rows["begin"] >= repaired]
     found = NO_GROWTH if stale else _growth(since, axis.limit, axis.oil, now / DAY)
     sized = since[since["verdict"].isin([Kind.HEALTHY, Kind.LEAK]) & since["size_40"].notna()]
-    latest = Interval(*sized[["size_40", "low_40", "high_40"]].iloc[-1]) if len(sized) else UNKNOWN
+    latest = Interval(*sized[list(SIZES)].iloc[-1]) if len(sized) else UNKNOWN
     reasons = _reasons(since, axis.limit, latest, found)
     if error:
         reasons[State.UNREAD] = error

@@ -23,7 +23,7 @@ from hydro_rig.recordings.parts import liveliest
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import Sampled, cut
 from hydro_rig.watching.fleet import Axis, Fleet
-from hydro_rig.watching.table import File, files_of, read_table, with_row, write_table
+from hydro_rig.watching.table import SIZES, File, files_of, read_table, with_row, write_table
 from hydro_rig.watching.trend import CODES, SERIOUS, AxisTrend, trend_of
 
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
@@ -71,9 +71,7 @@ def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_
         "verdict": verdict.kind.value,
         "reason": "; ".join(dict.fromkeys(filter(None, [verdict.why, *lines_of(told)]))),
         "temperature": found.temperature,
-        "size_40": leak.value,
-        "low_40": leak.low,
-        "high_40": leak.high,
+        **dict(zip(SIZES, leak, strict=True)),
     }
 
 
@@ -133,10 +131,10 @@ def watch(places: Sequence[Path], table_file: Path, fleet: Fleet, jobs: int = 1)
         raise ConfigurationError(next(iter(errors.values()), f"{table_file}: holds no reading"))
     files.sort(key=lambda file: file.path.stat().st_mtime)
     newest = {file.axis: errors.get(file.name, "") for file in files}
-    trends = []
-    for name in {*newest, *table["axis"], *fleet.named}:
-        error = newest.get(name, "")
-        trends.append(trend_of(name, table[table["axis"] == name], fleet.axis(name), error, time()))
+    trends = [
+        trend_of(name, table[table["axis"] == name], fleet.axis(name), newest.get(name, ""), time())
+        for name in {*newest, *table["axis"], *fleet.named}
+    ]
     trends.sort(key=lambda one: (*one.urgency, one.axis))
     left_out = [*dict.fromkeys(errors.values()), *filter(None, [others])]
     return Watched(trends, len(new) - len(errors), len(files) - len(new), left_out)
