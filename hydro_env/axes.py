@@ -104,7 +104,7 @@ class Axes:
                 record=table(count, RECORD),
                 plant=np.zeros((count, PLANT_COLUMNS)),
                 reference=np.zeros((count, samples)),
-                observation=np.zeros((count, len(self.scale)), dtype=np.float32),
+                observation=np.zeros((count, len(self.scale)), np.float32),
             )
             self.physical = np.zeros((count, len(PARAMETER_PATHS)))
             self.options = ResetOptions(self.tasks, count, samples)
@@ -166,7 +166,7 @@ class Axes:
                 begin(chosen, self._task, self._layout, self._chances, self.options.fixed, self.physical, *self.arrays)
         self._check_begun(axes)
         self._note_schedules()
-        self.options.used(axes)
+        self.options.fix({}, axes)
 
     def _rare(self, axes: Indices) -> Mask:
         """Which of these axes may begin with a fault, a changing force, or a reference at which they hardly move."""

@@ -77,7 +77,7 @@ class AxisRenderer:
             self._show(frame_time)
             return None
         content = self._pygame.image.tobytes(self._picture, "RGB")
-        return np.frombuffer(content, dtype=np.uint8).reshape(HEIGHT, WIDTH, 3).copy()
+        return np.frombuffer(content, np.uint8).reshape(HEIGHT, WIDTH, 3).copy()
 
     def close(self) -> None:
         """Close the window; calling it again does nothing."""

@@ -61,8 +61,8 @@ class ResetOptions:
             parameters=np.full((count, len(PARAMETER_PATHS)), np.nan),
             leakage_flow_lpm=np.full(count, np.nan),
             initial_position=np.full(count, np.nan),
-            rig=np.full(count, -1, dtype=np.int64),
-            family=np.full(count, -1, dtype=np.int64),
+            rig=np.full(count, -1),
+            family=np.full(count, -1),
             user_reference=np.zeros((count, samples)),
             faults=np.full((count, len(FAULTS)), np.nan),
         )
@@ -73,11 +73,7 @@ class ResetOptions:
             self._of_task = self._checked_reference(own, "references.user", self._half_strokes.min())
             self.fixed.user_reference[:] = self._of_task
 
-    def used(self, axes: Indices) -> None:
-        """Release the options after an episode has begun on these axes."""
-        self._fix({}, axes)
-
-    def _fix(self, values: ByName, axes: Indices) -> None:
+    def fix(self, values: ByName, axes: Indices) -> None:
         """Set these fields of :class:`Fixed` on some axes; all others are drawn."""
         for name, fixed in self.fixed._asdict().items():
             drawn: Any = -1 if fixed.dtype == np.int64 else np.nan
@@ -117,7 +113,7 @@ class ResetOptions:
             values["parameters"] = self._parameters(given["parameters"], axes)
         if "reference" in given:
             values |= self._reference(given["reference"], axes, half)
-        self._fix(values, axes)
+        self.fix(values, axes)
 
     def _per_axis(
         self, value: Any, name: str, axes: Indices, low: float = -np.inf, high: float = np.inf, unit: str = ""
@@ -193,7 +189,7 @@ class ResetOptions:
         """Family of each axis, and the rows of references that the user gives as numbers."""
         array = numbers(given)
         if array is None:
-            names = np.atleast_1d(np.array(given, dtype=object))
+            names = np.atleast_1d(np.array(given, object))
             if names.shape not in ((1,), (len(axes),), (self.count,)):
                 raise _wrong(f"reference has {len(names)} names for {len(axes)} axes")
             for name in names:

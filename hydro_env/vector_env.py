@@ -83,7 +83,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         self.single_action_space = self._axes.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._everyone = np.arange(self.num_envs, dtype=np.int64)
+        self._everyone = np.arange(self.num_envs)
         self._present = np.ones(self.num_envs, bool)
         self._present.flags.writeable = False
         self._ended = np.zeros(self.num_envs, bool)
@@ -195,7 +195,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
             last = np.where(mask[:, None], self._axes.observation, np.float32(0.0))
             final = {f"final_{name}": values for name, values in self._info(ended).items() if name[0] != "_"}
         else:
-            last = np.full(self.num_envs, None, dtype=object)
+            last = np.full(self.num_envs, None, object)
             for axis in ended:
                 last[axis] = self._axes.observation[axis].copy()
             final = {"final_info": self._info(ended), "_final_info": mask.copy()}

@@ -67,13 +67,9 @@ class Sensors(Group):
     velocity_filter_time: Number = quantity(0.010, "s", "first-order filter of the differenced position", 0.0, 1.0)
 
     @whole_group
-    def _position_is_measured(self) -> "Sensors":
+    def _possible(self) -> "Sensors":
         if not self.position.fitted:
             raise ValueError("position.fitted = false: an axis without position sensor cannot follow a reference")
-        return self
-
-    @whole_group
-    def _one_difference(self) -> "Sensors":
         if self.differential_pressure and (self.pressure_b.fitted or not self.pressure_a.fitted):
             raise ValueError("differential_pressure: true needs pressure_a.fitted: true and pressure_b.fitted: false")
         return self

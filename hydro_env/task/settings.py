@@ -74,15 +74,20 @@ _DERIVED = np.dtype(
         ("samples", "i8"),  # of the reference, preview included
         ("class_limits", "f8", (3,)),  # l/min at 100 bar; a leak's class is the number of limits that it exceeds
         ("latency_range", "f8", (2,)),  # s
-        ("start_bias_share", "f8"),  # fraction of the position sensor's bias as initial offset from the reference
-        ("reward_bias_share", "f8"),  # fraction of that bias that the reward does not count as error
+        *numbers(
+            "start_bias_share",  # fraction of the position sensor's bias as initial offset from the reference
+            "reward_bias_share",  # fraction of that bias that the reward does not count as error
+        ),
         ("error_scales", "f8", (len(REFERENCE_FAMILIES),)),  # m, error that costs 1, of each family
         ("channels", _SENSOR, (len(CHANNELS),)),  # the sensors in the order of CHANNELS
         ("fault_table", FAULT_TABLE, (len(FAULT_KINDS),)),
-        ("pressure_decay", "f8"),  # exp(−T/τ) of the transducers
-        ("pressure_lag", "f8"),  # τ/T
-        ("velocity_blend", "f8"),  # T/(T + τ)
-        *numbers("integral_time", "integral_limit"),
+        *numbers(
+            "pressure_decay",  # exp(−T/τ) of the transducers
+            "pressure_lag",  # τ/T
+            "velocity_blend",  # T/(T + τ)
+            "integral_time",
+            "integral_limit",
+        ),
     ]
 )
 SETTINGS = np.dtype(_TASK.descr + _DERIVED.descr)  # every number, choice and range of TaskConfig, and derived values
@@ -141,11 +146,9 @@ DRAW = np.dtype(
     [
         ("parameter", "i8"),  # index into PARAMETER_PATHS
         ("logarithmic", "i8"),
-        ("low", "f8"),
-        ("high", "f8"),
+        *numbers("low", "high"),
         ("times", "i8"),  # index of the parameter that multiplies the draw, −1 for none
-        ("otherwise", "f8"),
-        ("otherwise_probability", "f8"),
+        *numbers("otherwise", "otherwise_probability"),
     ]
 )
 """Distribution of one parameter of the plant."""

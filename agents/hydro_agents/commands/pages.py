@@ -80,7 +80,7 @@ def example_traces(results: Results) -> list[Example]:
     protocol, runs = results.protocol, {}
     families = [family for family in EXAMPLE_FAMILIES if family in protocol.families]
     leaks = sorted(protocol.leak_levels)
-    seeds = np.full(len(families) * len(leaks), EXPERIMENT_AXES.first, dtype=np.int64)
+    seeds = np.full(len(families) * len(leaks), EXPERIMENT_AXES.first, np.int64)
     cases = Cases(seeds, np.tile(leaks, len(families)), np.repeat(families, len(leaks)))
     for label, controller in results.participants.controllers.items():
         name = split_name(label)[0]

@@ -112,7 +112,7 @@ class OwnLoop:
 
     def _answer(self, present: Mask) -> float:
         """The controller's command; the head reads the same observation, except lost signals."""
-        observation = np.zeros((1, len(self._layout)), dtype=np.float32)
+        observation = np.zeros((1, len(self._layout)), np.float32)
         observe(self._settings, self._layout, self._record, self._reference, observation, self._before)
         command, self._memory = self.controller.predict(observation.copy(), self._memory)
         if self._head is not None:

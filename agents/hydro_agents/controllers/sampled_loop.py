@@ -48,7 +48,7 @@ class SampledLoop:
         """
         n, feedback = len(self.input_new), -np.asarray(gain) * self.position_size
         size = n + 1 + self.late
-        matrix = np.zeros((*feedback.shape, size, size), dtype=feedback.dtype)
+        matrix = np.zeros((*feedback.shape, size, size), feedback.dtype)
         matrix[..., :n, :n] = self.transition
         matrix[..., :n, -1] = self.input_old
         if self.late:

@@ -227,7 +227,7 @@ def draw_faults(
     untrained = {"sensor_freeze", EXTERNAL_LEAK} if hangs else {"sensor_freeze"}  # a stuck sensor needs no network
     kinds = [kind for kind in FAULT_KINDS if kind not in untrained]
     fitted = [name for name in SENSORS if getattr(config.sensors, name).fitted]
-    labels = np.zeros((count, len(LABELS)), dtype=np.float32)
+    labels = np.zeros((count, len(LABELS)), np.float32)
     for axis in np.flatnonzero(generator.random(count) < share):
         for kind in generator.choice(kinds, 1 + (generator.random() < SECOND_FAULT), replace=False):
             size = generator.uniform(*getattr(config.faults, kind).range)

@@ -255,7 +255,7 @@ class Reading(NamedTuple):
         kinds = {"fault": object, "cause": np.int8, "why": np.int8}
         arrays = []
         for name, value in values.items():
-            array = np.asarray(value, dtype=kinds.get(name, np.float64))
+            array = np.asarray(value, kinds.get(name, np.float64))
             arrays.append(np.broadcast_to(array, score.shape).copy())
         return cls._make(arrays)
 

@@ -124,7 +124,7 @@ def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, Singles]:
     }
     for layer in range(LAYERS):
         shapes |= {f"weight_{layer}": (sizes[layer + 1], sizes[layer]), f"bias_{layer}": (sizes[layer + 1],)}
-    return {name: np.zeros(shape, dtype=np.float32) for name, shape in shapes.items()}
+    return {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
 
 
 def standardised(features: Singles, mean: Array, scale: Array) -> Singles:
@@ -160,7 +160,7 @@ class LeakageHead:
     """
 
     def __init__(self, tensors: Mapping[str, Array], settings: HeadSettings) -> None:
-        self.tensors = {name: np.asarray(values, dtype=np.float32) for name, values in tensors.items()}
+        self.tensors = {name: np.asarray(values, np.float32) for name, values in tensors.items()}
         self.settings = settings
         self._measured = MeasuredColumns.of(settings.task)
         self.rows, self.columns, scale = self._measured  # a rig may lack the spool sensor
@@ -209,11 +209,11 @@ class LeakageHead:
         batch, single = as_batch(observation, state)
         if state is None:
             nothing = np.full((len(batch), len(LeakageEstimate._fields)), np.nan)
-            state = HeadState((), np.zeros(len(batch), dtype=np.int64), nothing)
+            state = HeadState((), np.zeros(len(batch), np.int64), nothing)
         seen, answer = state.seen + 1, state.answer.copy()
         if episode_start is not None:
             seen[episode_start], answer[episode_start] = 1, np.nan
-        measured = np.asarray(batch[:, self.columns], dtype=np.float32)
+        measured = np.asarray(batch[:, self.columns], np.float32)
         history = (*state.history, measured)[-self.settings.window :]
         late = seen - self.settings.window
         due = (late >= 0) & (late % self.interval == 0)
@@ -239,7 +239,7 @@ class LeakageHead:
         signals = signals[:, :, -self.settings.longest :]
         answers = np.empty((len(signals), len(LeakageEstimate._fields)))
         for first in range(0, len(signals), BATCH):
-            part = np.asarray(signals[first : first + BATCH], dtype=np.float64)
+            part = np.asarray(signals[first : first + BATCH], np.float64)
             answer = answers[first : first + BATCH]
             answer[:] = self.judge(features_of(part, self.sheet))
             stuck = stuck_sensors(part, self.settings.task).any(axis=1)

@@ -209,7 +209,7 @@ class Played:
         """The next opening; after the last one the valve is closed."""
         opening = self.openings[self._step] if self._step < len(self.openings) else 0.0
         self._step += 1
-        return np.full((len(observation), 1), opening, dtype=np.float32), None
+        return np.full((len(observation), 1), opening, np.float32), None
 
 
 def simulated(

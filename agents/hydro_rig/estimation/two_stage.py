@@ -34,7 +34,7 @@ class TwoStageDetector:
     def __init__(self, head: HeadDetector, estimator: EstimatorDetector | None = None) -> None:
         self.head, self.estimator = head, estimator or EstimatorDetector()
         self._asked: Floats = np.empty(0)  # s, end of the last window of each axis that the estimator read
-        self._named: NDArray[np.int8] = np.empty(0, dtype=np.int8)  # the cause that it then named
+        self._named: NDArray[np.int8] = np.empty(0, np.int8)  # the cause that it then named
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """The reason if the head cannot read such windows."""
@@ -44,7 +44,7 @@ class TwoStageDetector:
         """Read windows; one that only the estimator could answer has no answer while it may not be asked."""
         count = len(windows)
         if len(self._asked) != count or (windows.end < self._asked).any():  # other axes
-            self._asked, self._named = np.full(count, -np.inf), np.zeros(count, dtype=np.int8)
+            self._asked, self._named = np.full(count, -np.inf), np.zeros(count, np.int8)
         free = ~(windows.end - self._asked < RATION)  # NaN: unknown times
         self._named[free] = Cause.NONE
         first = self.head.read(windows, task)

@@ -245,7 +245,7 @@ class Block:
     def empty(self) -> BlockMemory:
         """The memory of a new block: zeros."""
         zero, number, no = np.zeros(()), np.array(0), np.array(False)
-        observation = np.zeros((1, len(self.signals.layout.names)), dtype=np.float32)
+        observation = np.zeros((1, len(self.signals.layout.names)), np.float32)
         observation[0] = [0.25 if "pressure" in name else 0.0 for name in self.signals.layout.names]
         _, memory = self.controller.predict(observation, None)
         last = {signal.name: zero for signal in self.signals.signals}

@@ -123,7 +123,7 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
     given: ByName = {row.name: np.array(row.default, row.kind) for row in inputs}
     given |= {ANSWER + name: np.zeros(()) for name in block.answers}
     graph = trace(step, {**given, **zeros})
-    after, _ = controller.predict(np.zeros((1, len(block.signals.layout.names)), dtype=np.float32), None)
+    after, _ = controller.predict(np.zeros((1, len(block.signals.layout.names)), np.float32), None)
     if not isinstance(after, np.ndarray):
         raise TraceError(f"{who}: keeps its memory outside its state: cannot be exported")
     for name, before in zeros.items():

@@ -168,7 +168,7 @@ class Builder:
             return pieces[0][0]
         if all(source.operation == "constant" for source in firsts):
             values = [source.table[offset] for source, offset in pieces if source.table is not None]
-            return self.constant(np.array(values, dtype=kind), details.get("name", ""))
+            return self.constant(np.array(values, kind), details.get("name", ""))
         return self._once(Node("collect", tuple(firsts), table.size, kind, table, **details))
 
     def _once(self, node: Node) -> Node:

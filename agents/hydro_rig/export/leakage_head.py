@@ -70,7 +70,7 @@ def head_code(head: LeakageHead) -> dict[str, str]:
     translator.function(describe, [signals, lost, of_sheet, of_fit, array(1, len(FEATURES))])
     translator.function(find_stuck, [signals, array(*bounds.shape, constant=True), lost])
 
-    features = np.zeros((1, len(FEATURES)), dtype=np.float32)
+    features = np.zeros((1, len(FEATURES)), np.float32)
     graph = trace(lambda features: {"answer": head.judge(features)}, {"features": features})
     writer = Writer(graph, {"features": "features"}, taken=("features", "answer"), prefix="network_")
     network = writer.statements(graph.nodes())

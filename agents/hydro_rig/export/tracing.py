@@ -190,7 +190,7 @@ class Traced(NDArrayOperatorsMixin):
     def _of(self, value: Any, kind: Any = None) -> "Traced":
         if isinstance(value, Traced):
             return value if kind is None or value.dtype == kind else value.astype(kind)
-        array = np.asarray(value, dtype=kind)
+        array = np.asarray(value, kind)
         return _traced(self._builder, self._builder.constant(array, _constant_name(value)), array)
 
     def _result(self, operation: str, operands: "Sequence[Traced]", value: Any, **details: Any) -> "Traced":
