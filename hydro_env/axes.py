@@ -182,7 +182,7 @@ class Axes:
         failed = axes[self.column("failure")[axes] != NO_FAILURE]
         if len(failed) == 0:
             return
-        axis = int(failed[0])
+        axis = failed[0]
         plant, what = self.parameters(axis), "its reference cannot be reached"
         if self.column("failure")[axis] == CANNOT_BE_HELD:
             shift = self._task["start_bias_share"][0] * self.column("bias")[axis, POSITION]

@@ -210,7 +210,7 @@ class ResetOptions:
             raise ConfigurationError(f"{where}: must be a row of positions in m")
         wrong = ~(np.abs(values) < half)
         if wrong.any():
-            first, limit = int(np.argmax(wrong)), f"±{half:g} m"
+            first, limit = np.argmax(wrong), f"±{half:g} m"
             raise ConfigurationError(
                 f"{where}[{first}] = {values[first]:g} m: must be a position within the stroke, {limit} (unit: m)"
             )

@@ -161,7 +161,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
             given = "no numbers" if commands is None else f"shape {commands.shape}"
             raise ConfigurationError(f"actions: {given}: must be numbers within -1 to 1, of shape ({self.num_envs}, 1)")
         if not np.isfinite(commands).all():
-            axis = int(np.argmin(np.isfinite(commands[:, 0])))
+            axis = np.argmin(np.isfinite(commands[:, 0]))
             raise ConfigurationError(f"actions[{axis}] = {commands[axis, 0]}: must be a finite number within -1 to 1")
         self._require_begun("step")
         if self.autoreset_mode == AutoresetMode.DISABLED and self._ended.any():

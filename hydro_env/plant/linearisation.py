@@ -203,6 +203,6 @@ def fastest_motion(parameters: PlantParameters, state: State | Floats) -> tuple[
     values, vectors = np.linalg.eig(model.a)
     rates = np.abs(values)
     rates[np.abs(rates - IDEAL_RATE) < 1e-6 * IDEAL_RATE] = 0.0
-    fastest = int(np.argmax(rates))
+    fastest = np.argmax(rates)
     moved = np.abs(vectors[:, fastest]) / typical_sizes(model.names)
-    return float(rates[fastest]), model.names[int(np.argmax(moved))]
+    return float(rates[fastest]), model.names[np.argmax(moved)]

@@ -201,7 +201,7 @@ def _checked_input(voltage: ArrayLike) -> Floats:
         raise HydroError(f"voltage: must be one row of at least one value, not of shape {inputs.shape}")
     wrong = ~(np.abs(inputs) <= FULL_VOLTAGE)
     if wrong.any():
-        first, limit = int(np.argmax(wrong)), FULL_VOLTAGE
+        first, limit = np.argmax(wrong), FULL_VOLTAGE
         raise HydroError(f"voltage[{first}] = {inputs[first]:g} V: must be within -{limit:g} to {limit:g} V")
     return inputs
 

@@ -54,7 +54,7 @@ def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[ByName, dic
     forces = 1e5 * supply * (area_a + area_b) / 2.0
     wanted = between(*law.full_speed) * math.sqrt((area_a**3 + area_b**3) / (1e5 * supply * area_a))
     sizes = np.array(law.rated_flows) / 6e4 * math.sqrt(2.0 / 70e5)
-    size = int(np.argmin(np.abs(np.log(sizes / (wanted * math.sqrt(2.0))))))
+    size = np.argmin(np.abs(np.log(sizes / (wanted * math.sqrt(2.0)))))
     speed = sizes[size] * math.sqrt(1e5 * supply * area_a / (area_a**3 + area_b**3))
 
     columns = sum(area / (stroke * 1e-3 * (0.5 * area + DEAD * area_a)) * area for area in (area_a, area_b))

@@ -87,7 +87,7 @@ class SampledLoop:
             return 0.0
         low, high = gains[first - 1], gains[first]
         while high / low > 1.0 + 1e-9:
-            middle = float(np.sqrt(low * high))
+            middle = np.sqrt(low * high)
             low, high = (middle, high) if self.is_stable(middle) else (low, middle)
         return float(low)
 

@@ -317,7 +317,7 @@ def logit(probability: ArrayLike) -> Floats:
 def threshold_at_false_alarm_rate(healthy_scores: Array, rate: float) -> float:
     """Lowest threshold that flags at most the share ``rate`` of the healthy scores."""
     ordered = np.sort(np.asarray(healthy_scores, float))[::-1]
-    allowed = int(np.floor(rate * len(ordered)))
+    allowed = int(rate * len(ordered))
     if allowed >= len(ordered):
         return 0.0
     return float(np.nextafter(ordered[allowed], np.inf))

@@ -79,7 +79,7 @@ class Operation(_Operator):
     def act(self, error: Floats) -> Floats:
         """Commands (N,): of the last decision, and a wave."""
         if self.time == 0:  # as if the error had been the same for long
-            self.errors = np.repeat(error[None], int(self.delay.max()), 0)
+            self.errors = np.repeat(error[None], self.delay.max(), 0)
         time, axes = self.time, np.arange(len(error))
         self.errors = np.concatenate([self.errors[1:], error[None]])
         seen = self.errors[len(self.errors) - self.delay, axes]

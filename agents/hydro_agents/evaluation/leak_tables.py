@@ -62,7 +62,7 @@ def judged(windows: pd.DataFrame, thresholds: pd.DataFrame) -> pd.DataFrame:
 def share(values: Any) -> Interval:
     """Share of true values with its 95 % interval."""
     array = np.asarray(values, bool)
-    return share_interval(int(array.sum()), len(array))
+    return share_interval(array.sum(), len(array))
 
 
 _CELL = ["detector", "condition", "level"]

@@ -182,7 +182,7 @@ def anchor_of(heading: str) -> str:
 def sparkline(values: Floats, limit: float) -> Markup:
     """A small line of values (n,) above zero on a logarithmic scale, and a dashed one at ``limit``; NaN: a gap."""
     heights = np.log10(np.append(values, limit))
-    low, span = np.nanmin(heights), max(float(np.ptp(heights[np.isfinite(heights)])), 0.3)
+    low, span = np.nanmin(heights), max(np.ptp(heights[np.isfinite(heights)]), 0.3)
     places = 2.0 + 20.0 * (1.0 - (heights - low) / span)
     steps = np.linspace(0.0, 98.0, max(len(values), 2))
     points = " ".join(f"{x:.0f},{y:.1f}" for x, y in zip(steps, places[:-1], strict=False) if np.isfinite(y))

@@ -96,7 +96,7 @@ class Plan(NamedTuple):
         """The plan in one sentence."""
         seconds = sum(step.seconds for step in self.steps)
         largest = 100 * max(abs(step.opening) for step in self.steps)
-        reach = number(HALF_WIDTH * float(self.bound.max()), digits=2)
+        reach = number(HALF_WIDTH * self.bound.max(), digits=2)
         return (
             f"a test of {seconds:.0f} s, the valve at most {largest:.2g} % open; 90 % interval of the leak at the "
             f"bound ±{reach} l/min at 100 bar"
@@ -119,7 +119,7 @@ def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None,
         travel = _travel_times(exact, signs, duration, opening)
         steps = steps_of(task, dict(zip(signs, travel, strict=True)), duration, opening)
         true = simulated(exact, steps, PLANTS).signals
-        fastest = float(np.abs(np.gradient(true[:, POSITION], task.control_period, axis=1)).max())
+        fastest = np.abs(np.gradient(true[:, POSITION], task.control_period, axis=1)).max()
         if fastest <= speed:
             break
         opening *= SAFETY * speed / fastest
@@ -128,7 +128,7 @@ def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None,
             f"--speed {1e3 * speed:g} mm/s: some simulated axes are faster even with the valve nearly closed; "
             "raise --speed"
         )
-    highest, rating = float(true[:, [PRESSURE_A, PRESSURE_B]].max()), config.failure.pressure_rating
+    highest, rating = true[:, [PRESSURE_A, PRESSURE_B]].max(), config.failure.pressure_rating
     if not highest <= rating:
         raise ConfigurationError(
             f"leak-test: a simulated axis reaches {1e-5 * highest:.0f} bar, and the rig is made for "
@@ -163,11 +163,11 @@ def priors_of_test(config: TaskConfig, measured: Mask) -> dict[str, Prior]:
 def commands_of(steps: Sequence[Step], period: float) -> Floats:
     """Openings, one per control period, (T,); each step begins with a ramp from the opening before."""
     ends = np.round(np.cumsum([step.seconds for step in steps]) / period).astype(int)
-    openings, before, begin = np.zeros(int(ends[-1])), 0.0, 0
+    openings, before, begin = np.zeros(ends[-1]), 0.0, 0
     for step, end in zip(steps, ends.tolist(), strict=True):
         most = RAMP * period * np.arange(end - begin + 1)
         course = before + np.clip(step.opening - before, -most, most)
-        openings[begin:end], before, begin = course[:-1], float(course[-1]), end
+        openings[begin:end], before, begin = course[:-1], course[-1], end
     return openings
 
 
@@ -233,7 +233,7 @@ def _travel_times(task: TaskConfig, signs: Sequence[float], duration: float, ope
         part = position[:, place * length : (place + 1) * length]
         way = np.abs(part - part[:, :1])
         arrived = way >= ARRIVED * way[:, -1:]
-        times.append(task.control_period * float(arrived.argmax(axis=1).max()))
+        times.append(task.control_period * arrived.argmax(axis=1).max())
     needed = sum(times) / MOST_TRAVEL_TIME
     if needed > duration:
         raise ConfigurationError(

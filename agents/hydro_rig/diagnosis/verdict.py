@@ -255,9 +255,9 @@ def combined(reading: Reading) -> tuple[Leak, str]:
     change = ""
     third = len(leak) // 3
     if third >= 2:
-        before, after = float(np.median(leak[:third])), float(np.median(leak[-third:]))
-        sigma = float(np.median(high - low)) / (2.0 * HALF_WIDTH)
-        scatter = float(np.median(np.abs(np.diff(leak)))) / 0.954  # of one window: a difference has √2 of it
+        before, after = np.median(leak[:third]), np.median(leak[-third:])
+        sigma = np.median(high - low) / (2.0 * HALF_WIDTH)
+        scatter = np.median(np.abs(np.diff(leak))) / 0.954  # of one window: a difference has √2 of it
         if abs(after - before) > CHANGED * max(sigma, scatter):
             word = "grew" if after > before else "fell"
             change = f"it {word} from {number(max(before, 0.0), 3)} during the recording"

@@ -94,7 +94,7 @@ def _robust(causes: Floats, wanted: Floats, cluster: Indices) -> tuple[Floats, F
         weighted = causes * weight[:, None]
         found = np.linalg.lstsq(weighted.T @ causes, weighted.T @ wanted, rcond=None)[0]
         left = wanted - causes @ found
-        deviation = 1.483 * float(np.median(np.abs(left))) + 1e-300
+        deviation = 1.483 * np.median(np.abs(left)) + 1e-300
         off = left / (OUTLIER * deviation)
         # The first rounds keep a part of the weight of outliers, so that they cannot lead to another minimum.
         weight = np.where(np.abs(off) < 1.0, (1.0 - off**2) ** 2, 0.0) if turn > 5 else 1.0 / (1.0 + off**2)
@@ -104,7 +104,7 @@ def _robust(causes: Floats, wanted: Floats, cluster: Indices) -> tuple[Floats, F
     used = len(np.unique(cluster[weight > 0.5]))
     factor = used / max(used - causes.shape[1], 1)
     covariance = factor * inverse @ (scores.T @ scores) @ inverse
-    return found, np.sqrt(np.diag(covariance)), deviation / float(np.sqrt((wanted**2).mean())), used
+    return found, np.sqrt(np.diag(covariance)), deviation / np.sqrt((wanted**2).mean()), used
 
 
 def by_volume(verdict: Verdict, balance: Balance, limits: Limits) -> Verdict:

@@ -267,5 +267,5 @@ def _in_words(found: Estimate, faulty: Mask) -> tuple[str, ...]:
     """The faults of each window as text; the size of a fault is the median over all windows that show it."""
     texts = []
     for (name, wear), rows in zip(WEAR.items(), faulty.T, strict=True):
-        texts.append(wear.sized(float(np.median(found.value(name)[rows]))) if rows.any() else "")
+        texts.append(wear.sized(np.median(found.value(name)[rows])) if rows.any() else "")
     return tuple(" and ".join(compress(texts, row)) for row in faulty)

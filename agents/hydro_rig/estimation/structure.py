@@ -99,7 +99,7 @@ def with_parts(rigid: Estimate, possible: Mapping[Part, Lacking], usual: tuple[P
         for parts in tried:
             more = fit(parts, best)
             least = sum(possible[part].least_gain * len(possible[part].priors) for part in parts if part not in held)
-            gain = float(best.unlikelihood[0] - more.unlikelihood[0]) - least
+            gain = best.unlikelihood[0] - more.unlikelihood[0] - least
             if gain > gained and (more.holds[0] or not best.holds[0]):
                 gained, following = gain, more
                 following.parts[0] = parts

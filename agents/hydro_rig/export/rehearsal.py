@@ -213,7 +213,7 @@ def signed(config: TaskConfig, takes: list[Take]) -> pd.DataFrame:
         if end == FAILURES[0]:
             end = "passed" if last == take.scene.last else f"must be {take.scene.last.name.lower()}"
             end = end if np.nanmax(lengths) <= safe else "beyond the safe distance"
-        rows.append([*lengths, time, float(np.abs(take.command).max()), last.name.lower(), end])
+        rows.append([*lengths, time, np.abs(take.command).max(), last.name.lower(), end])
     return pd.DataFrame(rows, [take.scene.name for take in takes], COLUMNS)
 
 
@@ -222,17 +222,17 @@ def _figures(take: Take, period: float) -> tuple[list[float], float]:
     controls, overshoots, swings, times = ~np.isnan(take.reference), [0.0], list[float](), list[float]()
     for begins, ends, target in zip(take.moves, take.moves[1:], take.targets, strict=False):
         controlled, position = controls[begins:ends], take.position[begins:ends]
-        overshoots.append(float(np.max(np.sign(target - position[:1]) * (position - target), initial=0.0)))
+        overshoots.append(np.max(np.sign(target - position[:1]) * (position - target), initial=0.0))
         if len(position) < ends - begins or not controlled[-1]:
             continue
-        swings.append(float(np.ptp(position[-round(SWINGS / period) :])))
+        swings.append(np.ptp(position[-round(SWINGS / period) :]))
         last = np.flatnonzero(np.abs(position - target) > SETTLED)[-1]
         if last < len(position) - 1:
             closed = np.flatnonzero(controlled[1:] & ~controlled[:-1])
-            times.append(float((last - max(closed, default=-1)) * period))
-    error = float(np.max(np.abs(take.reference - take.position)[controls], initial=0.0))
+            times.append((last - max(closed, default=-1)) * period)
+    error = np.max(np.abs(take.reference - take.position)[controls], initial=0.0)
     after = take.position[take.event :][~controls[take.event :]]
-    travel = float(np.max(np.abs(after - after[0]))) if len(after) else math.nan
+    travel = np.max(np.abs(after - after[0])) if len(after) else math.nan
     lengths = (error, max(overshoots), travel, max(swings, default=math.nan))
     return [1e3 * length for length in lengths], max(times, default=math.nan)
 

@@ -133,7 +133,7 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Priors) -> Common:
         other = _nearby(windows.part(again), config, best)
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
             second = _common_fit(windows, config, priors, alone)
-            best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
+            best = max(best, second, key=lambda found: (found.explained, -np.median(found.misfit)))
     for remedy in (_with_timing, _with_noise, lambda found: _with_noise(_with_timing(found))):
         if 2 * best.explained < len(windows) and config.sensors.enabled:
             mended = remedy(best)
@@ -174,7 +174,7 @@ def _with_timing(found: Common) -> Common:
             moved[:, names.index(LATENCY)] = rows * period / more[LATENCY].deviation
             trials.append(moved)
     rough = [descend(problem, trial)[0] for trial in trials]
-    return found.continued(problem, rough[int(np.argmin(costs_of(problem, rough)))])
+    return found.continued(problem, rough[np.argmin(costs_of(problem, rough))])
 
 
 def replayed(windows: Windows, config: TaskConfig, priors: Priors) -> Problem:
@@ -202,7 +202,7 @@ def _common_fit(windows: Windows, config: TaskConfig, priors: Priors, alone: Est
     for again in (False, True):  # the second time without the outliers of the first
         problem = replayed(windows.part(kept), config, priors)
         rough = [descend(problem, first)[0] for first in _first_values(problem, alone, kept)]
-        joint = fit_together(problem, rough[int(np.argmin(costs_of(problem, rough)))])
+        joint = fit_together(problem, rough[np.argmin(costs_of(problem, rough))])
         still = without_outliers(joint.misfit)
         if again or len(still) == len(kept):
             break
@@ -222,14 +222,14 @@ def costs_of(problem: Problem, trials: list[Floats]) -> list[float]:
         total = (problem.residual(scaled[:, None])[:, 0] ** 2).sum(axis=2)
         square = np.nan_to_num(total / np.maximum(number, 1), nan=1e12, posinf=1e12)
         likelihood = number * np.where(square > 1.0, 1.0 + np.log(np.maximum(square, 1.0)), square)
-        costs.append(float(likelihood.sum() + (scaled[:, own] ** 2).sum() + (scaled[0, shared] ** 2).sum()))
+        costs.append(likelihood.sum() + (scaled[:, own] ** 2).sum() + (scaled[0, shared] ** 2).sum())
     return costs
 
 
 def without_outliers(misfit: Floats) -> Indices:
     """Indices of the windows that are explained, or whose misfit is not much larger than that of most others."""
     finite = np.where(np.isfinite(misfit), misfit, 1e9)
-    median = float(np.median(finite))
+    median = np.median(finite)
     factor = OUTLIER if median < WELL_FITTED else FAR_OUTLIER
     return np.flatnonzero(finite <= max(WELL_FITTED, factor * median))
 

@@ -38,11 +38,11 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
         for part, count in Counter(part for parts in found.parts for part in parts).items()
         if count >= MOST_DIFFER * len(found)
     ]
-    latency, rise_time = float(np.median(used.latency)), float(np.median(used.rise_time))
+    latency, rise_time = np.median(used.latency), np.median(used.rise_time)
     odd += off_the_sheet(latency, rise_time, np.median(used.white, axis=0), task)
     spiky = []
     for channel, name in enumerate(SENSORS):
-        slow, spikes = (float(np.median(part[:, channel])) for part in (used.slow, used.spikes))
+        slow, spikes = (np.median(part[:, channel]) for part in (used.slow, used.spikes))
         if slow > SLOW:
             odd.append((name, f"differs slowly from the model, by {_size(channel, slow, task)}"))
         if spikes > SPIKES:
@@ -75,7 +75,7 @@ def worst_signal(found: Estimate, task: TaskConfig) -> str:
     if not total[channel] > SLOW:
         return ""
     how = "slowly" if slow[channel] > white[channel] else "from sample to sample"
-    return f"{SENSORS[channel]} differs most from the model, {how}, by {_size(channel, float(total[channel]), task)}"
+    return f"{SENSORS[channel]} differs most from the model, {how}, by {_size(channel, total[channel], task)}"
 
 
 def _ms(seconds: float) -> str:
@@ -85,4 +85,4 @@ def _ms(seconds: float) -> str:
 def _size(channel: int, size: float, task: TaskConfig) -> str:
     """An error over the noise of the data sheet, in the unit of its channel."""
     look = shown(f"{SENSORS[channel]}_bias")
-    return f"{number(look.factor * size * float(noise_of(task)[channel]), 3)} {look.unit}"
+    return f"{number(look.factor * size * noise_of(task)[channel], 3)} {look.unit}"

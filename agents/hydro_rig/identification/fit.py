@@ -86,7 +86,7 @@ def _spread(joint: Joint, information: Floats, score: Floats) -> Spread:
     total, variance = expected.sum(axis=0), np.diag(covariance)
     ratio = (moves**2).sum(axis=0) / np.maximum(total, 1e-300)
     freedom = total**2 / np.maximum((expected**2).sum(axis=0), 1e-300)  # Satterthwaite: the windows that count
-    common = max(1.0, float(np.median(ratio)))
+    common = max(1.0, np.median(ratio))
     ratio = np.maximum((MODERATION * common + freedom * ratio) / (MODERATION + freedom), LEAST_RATIO)
     informed = np.clip(total / variance, 0.0, 1.0)  # the rest is the prior's
     widening = np.sqrt(1.0 - informed + informed * ratio)
@@ -149,7 +149,7 @@ def truncated_end(value: float, low: float, high: float) -> float:
     deviation = (high - low) / (2.0 * float(stats.norm.ppf(1.0 - TAIL)))
     if low >= 0.0 or deviation <= 0.0:
         return high
-    positive = float(stats.norm.sf(-value / deviation))
+    positive = stats.norm.sf(-value / deviation)
     return max(high, value + deviation * float(stats.norm.isf(TAIL * positive)))
 
 

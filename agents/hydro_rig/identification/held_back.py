@@ -167,8 +167,8 @@ def _share(pairs: Sequence[tuple[Floats, Floats]]) -> float:
     known = [(own[seen], other[seen]) for own, other in pairs if (seen := np.isfinite(own)).any()]
     if not known:
         return math.nan
-    square = sum(float(np.sum((own - other) ** 2)) for own, other in known)
-    variance = sum(float(len(own) * own.var()) for own, _ in known)
+    square = sum(np.sum((own - other) ** 2) for own, other in known)
+    variance = sum(len(own) * own.var() for own, _ in known)
     return 1.0 - square / max(variance, 1e-300) if math.isfinite(square) else -math.inf
 
 

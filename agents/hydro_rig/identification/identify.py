@@ -135,7 +135,7 @@ class Identification:
                 "another flow, and no other value changes. Check both against the valve's data sheet."
             )
         if fit.explained.mean() < 0.5:
-            widening = float(np.median([one.widening for one in fit.unknowns]))
+            widening = np.median([one.widening for one in fit.unknowns])
             notes.append(
                 f"The model explains {fit.explained.sum()} of {len(fit.misfit)} windows to within the sensors' noise. "
                 f"The intervals are wider (factor {widening:.2g}), but may still be too narrow."
@@ -227,7 +227,7 @@ def _with_bent_valve(config: TaskConfig, rig: Rig, parts: Parts) -> tuple[TaskCo
     described = valve.knee_position != valve.knee_opening or KNEE_OPENING in rig.randomisation
     if parts.amplitudes < BENDS_FROM or described:
         return config, rig
-    largest = float(np.nanmax(np.abs(parts.fitted.signals[:, COMMAND])))
+    largest = np.nanmax(np.abs(parts.fitted.signals[:, COMMAND]))
     knee = round(0.5 * min(largest, 1.0), 3)
     plant = config.plant.replace(valve={"knee_position": knee, "knee_opening": knee})
     low, high = (knee * factor for factor in BEND)

@@ -245,7 +245,7 @@ def check_set_point(signals: Floats, period: float) -> Finding | None:
     flowing = max(_correlation(values, speed) for values in commands)
     if max(alike, default=0.0) < LEAST_ALIKE or flowing > MOST_FLOWING:
         return None
-    late = 1e3 * period * float(lags[int(np.argmax(alike))])
+    late = 1e3 * period * lags[np.argmax(alike)]
     what = f"is the set point of the position, which follows it by {late:.2g} ms: the command to the valve is another"
     return Finding("command", f"{what} column; map that one", Weight.SEVERE)
 

@@ -91,7 +91,7 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     most = max(MOST_WINDOWS // len(used), FEWEST_OF_EACH)
     fitted = []
     for windows in used.values():
-        section = float(windows.end[-1]) / most if len(used) == 1 and len(windows) > most else 0.0
+        section = windows.end[-1] / most if len(used) == 1 and len(windows) > most else 0.0
         fitted.append(windows.part(liveliest(windows, most, section)))
     return Parts(
         fitted=Windows.joined(fitted),
@@ -106,7 +106,7 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
 def _refuse_useless(samples: Sampled, source: str) -> None:
     if not np.isfinite(samples.signals[POSITION]).any():
         raise ConfigurationError(f"{source}: position was not recorded; without it nothing can be identified")
-    full = float(np.mean(np.abs(samples.signals[COMMAND]) >= FULL_COMMAND))
+    full = np.mean(np.abs(samples.signals[COMMAND]) >= FULL_COMMAND)
     if full > MOST_AT_FULL_COMMAND:
         raise ConfigurationError(
             f"{source}: command is at its limit for {100 * full:.0f} % of the recording; the valve was saturated, "
@@ -151,7 +151,7 @@ def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], s
 
 def _by_amplitude(cuts: Mapping[int, Windows]) -> list[list[int]]:
     """Numbers of the recordings in groups of the same largest command, the smallest first."""
-    largest = {number: float(np.nanmax(np.abs(windows.signals[:, COMMAND]))) for number, windows in cuts.items()}
+    largest = {number: np.nanmax(np.abs(windows.signals[:, COMMAND])) for number, windows in cuts.items()}
     amplitudes: list[list[int]] = []
     for number in sorted(cuts, key=largest.__getitem__):
         if not amplitudes or largest[number] > SAME_AMPLITUDE * largest[amplitudes[-1][0]]:

@@ -104,7 +104,7 @@ def _within_full_scale(samples: Sampled) -> tuple[Sampled, Findings]:
     beyond = (size > 1.0) & (size <= OVERRANGE)
     if not beyond.any() or (size > OVERRANGE).any():  # the unit is wrong: check_channels says so
         return samples, []
-    signals, most = samples.signals.copy(), float(size[beyond].max())
+    signals, most = samples.signals.copy(), size[beyond].max()
     signals[COMMAND] = signals[COMMAND].clip(-1.0, 1.0)
     what = f"is up to {100.0 * most:.4g} % of full scale ({FULL_VOLTAGE * most:.4g} V): taken as full scale"
     findings = []
@@ -148,7 +148,7 @@ def _stretch_with_motion(samples: Sampled, config: TaskConfig) -> Floats | None:
         return None
     signals = signals[:, longest[0] : longest[-1] + 1]
     starts = range(0, max(signals.shape[1] - MOST_SAMPLES, 0) + 1, MOST_SAMPLES)
-    best = max(starts, key=lambda start: float(signals[POSITION, start : start + MOST_SAMPLES].std()))
+    best = max(starts, key=lambda start: signals[POSITION, start : start + MOST_SAMPLES].std())
     return signals[:, best : best + MOST_SAMPLES]
 
 
@@ -188,27 +188,27 @@ def balance(signals: Floats, config: TaskConfig) -> TwoBalances:
     force = c.area_a * pressure_a - c.area_b * pressure_b
     speed = (position[2:] - position[:-2]) / (2.0 * time)
     acceleration = (position[2:] - 2.0 * position[1:-1] + position[:-2]) / time**2
-    slow = 0.02 * max(float(np.abs(speed).max()), 1e-9)
+    slow = 0.02 * max(np.abs(speed).max(), 1e-9)
     causes = np.column_stack([acceleration, speed, np.tanh(speed / slow), position[1:-1]])
     causes -= causes.mean(axis=0)
     wanted = force[1:-1] - force[1:-1].mean()
     _, rest = nnls(causes / (causes.std(axis=0) + 1e-300), wanted)
     force_rest = 0.0
     if np.ptp(signals[[PRESSURE_A, PRESSURE_B]], axis=1).all():
-        force_rest = float(rest**2 / max(float(wanted @ wanted), 1e-300))
+        force_rest = rest**2 / max(wanted @ wanted, 1e-300)
 
     flow = _means(flow_into_a(signals, config), step)[1:-1]
     volume = chamber_volumes(position[1:-1], c)[0]
     stored = volume / c.bulk_modulus * (pressure_a[2:] - pressure_a[:-2]) / (2.0 * time)
     needed = c.area_a * speed + stored
     covariance = np.cov(needed, flow)
-    travel = float(np.ptp(np.quantile(position, [0.01, 0.99])))
-    if flow.std() < STEADY * abs(float(flow.mean())):  # at one speed only the means say something
-        return TwoBalances(0.0, float(needed.mean() / flow.mean()), travel, abs(float(flow.sum())) * time / c.area_a)
-    expected = float(np.ptp(np.cumsum(flow - flow.mean()))) * time / c.area_a
+    travel = np.ptp(np.quantile(position, [0.01, 0.99]))
+    if flow.std() < STEADY * abs(flow.mean()):  # at one speed only the means say something
+        return TwoBalances(0.0, needed.mean() / flow.mean(), travel, abs(flow.sum()) * time / c.area_a)
+    expected = np.ptp(np.cumsum(flow - flow.mean())) * time / c.area_a
     slope = 1.0
     if covariance[0, 1] ** 2 >= UNRELATED * covariance[0, 0] * covariance[1, 1]:
-        slope = float(covariance[0, 1] / max(covariance[1, 1], 1e-300))
+        slope = covariance[0, 1] / max(covariance[1, 1], 1e-300)
     return TwoBalances(force_rest, slope, travel, expected)
 
 

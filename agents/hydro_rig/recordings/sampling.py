@@ -160,7 +160,7 @@ def _own_grid(time: Floats, values: Floats, place: Indices, distance: float, fin
     rows = max(round(OWN_PERIOD / distance), 1)
     period = float(f"{rows * distance:.6g}")
     changed = place[1:][np.abs(np.diff(values[COMMAND])) > 0.0]
-    first = int(np.bincount(changed % rows, minlength=rows).argmax())
+    first = np.bincount(changed % rows, minlength=rows).argmax()
     samples = pd.DataFrame(values.T).groupby((place - first + rows // 2) // rows).median()
     number = samples.index.to_numpy()
     acting = pd.Series(values[COMMAND]).groupby((place - first) // rows + 1).median()
@@ -227,7 +227,7 @@ def likely_commands(signals: Floats, filled: Mask) -> Floats:
         known = np.isfinite(values)
         if known.any():
             whole = np.interp(places, places[known], values[known])
-            scale = float(whole.std()) or 1.0
+            scale = whole.std() or 1.0
             columns += [np.roll((whole - whole.mean()) / scale, by) for by in (-3, -2, -1, 1, 2, 3)]
     around = np.column_stack(columns)
     weights, *_ = np.linalg.lstsq(around[sure], signals[COMMAND, sure], rcond=None)
@@ -272,7 +272,7 @@ def _add_gaps(place: Indices, time: Floats, distance: float, findings: Findings)
     gaps = np.flatnonzero(missing > 0)
     if len(gaps):
         lost = missing[missing * distance < PAUSE].sum()
-        seconds = distance * float(missing.max())
+        seconds = distance * missing.max()
         longest = f"{seconds:.4g} s" if seconds >= PAUSE else f"{1e3 * seconds:.3g} ms"
         what = f"has {len(gaps)} gaps, the longest of {longest}" if len(gaps) > 1 else f"has a gap of {longest}"
         begin, end = float(time[gaps[0] - 1]), float(time[gaps[0]])

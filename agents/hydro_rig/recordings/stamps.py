@@ -73,7 +73,7 @@ def equidistant(stamps: Floats) -> float | None:
     row = np.flatnonzero(np.isfinite(stamps))
     lag = len(row) // 2
     low, distance, high = np.quantile((stamps[row[lag:]] - stamps[row[:-lag]]) / (row[lag:] - row[:-lag]), COMMON)
-    usual = float(np.median(np.diff(stamps[row])))  # 0 between rounded stamps
+    usual = np.median(np.diff(stamps[row]))  # 0 between rounded stamps
     lost = usual > 0.0 and abs(usual / distance - 1.0) > LARGEST_DEVIATION
     if distance < SHORTEST_DISTANCE or lost or high - low > LARGEST_DEVIATION * distance:
         return None
@@ -82,9 +82,9 @@ def equidistant(stamps: Floats) -> float | None:
 
 def row_distance(time: Floats, period: float) -> float:
     """Usual distance of two rows in s: the median, or that over many rows if only this fits the period."""
-    distance = float(np.median(np.diff(time)))
+    distance = np.median(np.diff(time))
     many = min(ROWS_TOGETHER, len(time) - 1)
-    together = float(np.median(time[many:] - time[:-many])) / many
+    together = np.median(time[many:] - time[:-many]) / many
     return distance if whole_fraction(distance, period) or not whole_fraction(together, period) else together
 
 

@@ -61,7 +61,7 @@ def growth(
     if len(kept) < FEWEST or np.ptp(when[kept]) <= 0.0:
         return NO_GROWTH
     now = float(when[-1]) if now is None else now
-    span = float(np.ptp(when[kept]))
+    span = np.ptp(when[kept])
     level, slope = _drawn((when[kept] - now) / span, y[kept], error[kept], common)
     left = np.log10(limit) - level
     ahead = np.full(DRAWS, np.inf)
@@ -95,7 +95,7 @@ def _usual(x: Floats, y: Floats, error: Floats) -> Mask:
 
 def _drawn(x: Floats, y: Floats, error: Floats, common: float) -> tuple[Floats, Floats]:
     """Level now (log10) and slope per span, (DRAWS,) each; ``x`` is in spans of the readings, 0 now."""
-    scale = float(np.sqrt(np.mean(error**2)))
+    scale = np.sqrt(np.mean(error**2))
     share = np.array([0.0, *np.repeat(LASTING, len(LENGTHS))])[:, None, None]
     length = np.array([1.0, *np.tile(LENGTHS, len(LASTING))])[:, None, None]
     lasting = np.exp(-np.abs(x[:, None] - x) / length)

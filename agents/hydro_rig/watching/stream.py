@@ -140,7 +140,7 @@ class AxisWatch:
                 samples = checked.samples
                 self._still = {name for name in MEASURED if stands_still(name, samples, self.task)}
             else:
-                first = int(np.searchsorted(rows.time, rows.time[-1] - MARGIN * WINDOW))
+                first = np.searchsorted(rows.time, rows.time[-1] - MARGIN * WINDOW)
                 samples = sampled(rows.part(first, len(rows.time)), self.task)
         except ConfigurationError as error:
             return self._told(now, Condition.CHECK, str(error))
@@ -152,7 +152,7 @@ class AxisWatch:
         if not len(windows):
             return self._told(now, Condition.CHECK, "fewer rows than one window")
         reading = self._detector.read(windows, on_grid(self.task, samples.period))
-        blind = bool(np.isnan(rows.signals[[PRESSURE_A, PRESSURE_B]]).all())  # a faulty seal can then look healthy
+        blind = np.isnan(rows.signals[[PRESSURE_A, PRESSURE_B]]).all()  # a faulty seal can then look healthy
         temperature = temperature_of(rows)
         leak = referred(combined(reading)[0], self.axis.oil, temperature)
         if leak.high <= self.axis.limit and not blind:
@@ -316,7 +316,7 @@ class FleetWatch:
         if look.leak.high - look.leak.low < wide:  # not of a look without an answer: NaN
             self._best[name] = best = look
         rows = self.table["until"][self.table["axis"] == name]
-        last = 0.0 if rows.empty else float(np.datetime64(rows.max(), "s").astype(np.int64))
+        last = 0.0 if rows.empty else np.datetime64(rows.max(), "s").astype(np.int64)
         if best is not None and (changed or look.time - last >= READING_EVERY):
             self._write(look, best)
             del self._best[name]

@@ -142,7 +142,7 @@ def trend_of(name: str, rows: pd.DataFrame, axis: Axis, error: str, now: float |
     rows = rows.assign(begin=seconds(rows["time"]), end=seconds(rows["until"])).sort_values("begin", kind="stable")
     last = float(rows["end"].max())
     now = last if now is None else now
-    late = LATE * float(np.fmax(DAY, rows["begin"].diff().median()))
+    late = LATE * np.fmax(DAY, rows["begin"].diff().median())
     stale = abs(now - last) > late  # also by a clock that runs ahead
     repaired = rows["begin"][rows["repaired"] != ""].max()
     since = rows if np.isnan(repaired) else rows[rows["begin"] >= repaired]
@@ -170,11 +170,11 @@ def _growth(rows: pd.DataFrame, limit: float, oil: Oil, now: float) -> Growth:
     """The growth in days. A part of the readings' usual error is common to all: they share thermometer and plant."""
     size = rows["size_40"].to_numpy(float)
     deviation = (rows["high_40"] - rows["low_40"]).to_numpy(float) / (2.0 * HALF_WIDTH)
-    shared = common_error(oil, float(rows["temperature"].median()))
+    shared = common_error(oil, rows["temperature"].median())
     own = np.sqrt(np.maximum(deviation**2 - (np.log(10.0) * shared * size) ** 2, 0.0))
     relative = own[size > 0.0] / size[size > 0.0] / np.log(10.0)
-    plant = min(float(np.median(relative)), PLANT_ERROR) if len(relative) else 0.0
-    return growth(rows["begin"] / DAY, size, limit, own, float(np.hypot(shared, plant)), now)
+    plant = min(np.median(relative), PLANT_ERROR) if len(relative) else 0.0
+    return growth(rows["begin"] / DAY, size, limit, own, np.hypot(shared, plant), now)
 
 
 def _reasons(rows: pd.DataFrame, limit: float, latest: Interval, found: Growth) -> dict[State, str]:
