@@ -36,6 +36,7 @@ UNITS: dict[str, dict[str, float]] = {
 FACTORS = {name: factor for known in UNITS.values() for name, factor in known.items()}  # SI units per unit, by its name
 
 _QUANTITY = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?![eE][-+]?\d)(-|[^\d\s.,:+-].*)")
+_HEADING = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\[\]()]*)[\])])?\s*")
 
 
 def unit_factor(text: str, known: Mapping[str, float]) -> float:
@@ -59,6 +60,12 @@ def split_quantity(text: str) -> tuple[float | None, str]:
     """Number and unit of a text such as ``63 mm``; ``None`` and nothing for any other text."""
     found = _QUANTITY.fullmatch(text.strip())
     return (float(found[1]), found[2].strip()) if found is not None else (None, "")
+
+
+def split_heading(heading: str) -> tuple[str, str | None]:
+    """Name and unit of the heading of a column: ``position [mm]`` or ``position (mm)``."""
+    match = _HEADING.fullmatch(heading)
+    return (match[1], match[2]) if match else (heading, None)
 
 
 def written(value: float, unit: str) -> str:

@@ -155,7 +155,7 @@ class LeakProtocol(Protocol[LeakCondition]):
             low, high = np.log(task.leakage.healthy_range)
             flow = np.exp(low + share * (high - low))
         faults = {fault: np.full(count, size) for fault, size in condition.faults.items()}
-        return Cases(seeds, flow, None, condition.parameters_on(task) or None, faults or None)
+        return Cases(seeds, flow, None, condition.parameters_on(task), faults)
 
     def known_of(self, name: str) -> ByName:
         """See :meth:`~hydro_agents.evaluation.conditions.Protocol.known_of`."""

@@ -7,9 +7,9 @@ from pathlib import Path
 from hydro_agents.rigs.rig_file import QUESTIONS
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
+from hydro_env.units import split_heading
 
 AXIS = "axis"
-_HEADING = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*")  # bore [mm]
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 
 
@@ -27,8 +27,7 @@ def figures_of_table(path: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
     numbers = {question.key for question in QUESTIONS if question.unit}
     columns, others = {}, []  # key and unit of a figure by place
     for place, heading in enumerate(rows[0] if rows else []):
-        match = _HEADING.fullmatch(heading)
-        name, unit = (match[1], match[2]) if match else (heading, None)
+        name, unit = split_heading(heading)  # bore [mm]
         name = re.sub(r"[\s_]+", "-", name.lower())
         if name == AXIS or name in keys:
             columns[place] = keys.get(name, AXIS), unit or ""

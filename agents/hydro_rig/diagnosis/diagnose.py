@@ -149,7 +149,7 @@ def spread(windows: Windows, most: int) -> Windows:
     """Of each of ``most`` sections of a recording, the window that moves most; few are all kept."""
     if len(windows) <= most:
         return windows
-    return windows.part(liveliest(windows, most, windows.end[-1] - windows.begin[0] / most))
+    return windows.part(liveliest(windows, most, (windows.end[-1] - windows.begin[0]) / most))
 
 
 def read_windows(windows: Windows, config: TaskConfig, threads: int | None = None) -> Read:

@@ -119,7 +119,10 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
     end = 0.5 * config.plant.cylinder.stroke
     law = LEAK_LAWS[config.leakage.law]
     largest_leak = max(law.flow(limit) for limit in PARAMETER_LIMITS[f"leakage.{law.parameter}"] if limit > 0.0)
-    leak = leak_at_test_pressure(with_one_leak(config))
+    # The piston leaks by the task's law alone.
+    laws = leak_past_piston(0.0, config.leakage.law).items()
+    tight = {field: none for field, none in laws if field != law.parameter}
+    leak = leak_at_test_pressure(config.plant.replace(leakage=tight))
     force = PARAMETER_LIMITS["load.external_force"]
     faults = (
         ("valve_null_shift", "spool position at which the edges are centred", "1"),
@@ -150,7 +153,7 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
         ("holding_voltage", "holds the axis at its initial position", "V"),
     ]
     variables = [*inputs, *parameters, *(Variable(name, what, unit, "output") for name, what, unit in outputs)]
-    return [variable._replace(unit=_in_letters(variable.unit)) for variable in variables]
+    return [one._replace(unit="" if one.unit == "1" else one.unit.translate(_ASCII)) for one in variables]
 
 
 def _rig_parameters(config: TaskConfig) -> Iterator[Variable]:
@@ -162,11 +165,6 @@ def _rig_parameters(config: TaskConfig) -> Iterator[Variable]:
         unit, limits = PARAMETER_UNITS[path], PARAMETER_LIMITS[path]
         items = MODEL_CODES.get(path, ())
         yield Variable(f"rig.{path}", f"{field} of the {group}", unit, "parameter", value, *limits, items)
-
-
-def _in_letters(unit: str) -> str:
-    """A unit in letters that every tool reads; empty: none."""
-    return "" if unit == "1" else unit.translate(_ASCII)
 
 
 def base_unit(unit: str) -> dict[str, float]:
@@ -182,13 +180,6 @@ def base_unit(unit: str) -> dict[str, float]:
             for base, own in exponents.items():
                 found[base] = found.get(base, 0) + exponent * own
     return found
-
-
-def with_one_leak(config: TaskConfig) -> PlantParameters:
-    """The rig of a task whose piston leaks by the task's law alone."""
-    own = LEAK_LAWS[config.leakage.law].parameter
-    tight = {field: none for field, none in leak_past_piston(0.0, config.leakage.law).items() if field != own}
-    return config.plant.replace(leakage=tight)
 
 
 def _values(config: TaskConfig) -> dict[str, Any]:

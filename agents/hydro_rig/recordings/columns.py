@@ -1,6 +1,5 @@
 """Signal and unit of each column of a file: from the names that ``hydro record`` writes, or from a map file."""
 
-import re
 from collections.abc import Sequence
 from fnmatch import fnmatch
 from pathlib import Path
@@ -13,7 +12,7 @@ from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import page
 from hydro_env.task.sensors import SENSORS
-from hydro_env.units import FULL_VOLTAGE, Number, unit_factor
+from hydro_env.units import FULL_VOLTAGE, Number, split_heading, unit_factor
 from hydro_env.units import UNITS as QUANTITIES
 
 MEASURED = (*SENSORS, "command")  # names of the signals in a file, in the order of a window's rows
@@ -22,7 +21,6 @@ LOAD_PRESSURE = "load_pressure"
 ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_position"}
 """Other accepted headings; ``Trajectory.to_dataframe`` writes ``voltage``."""
 
-_HEADING = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\[\]()]*)[\])])?\s*")
 _PARTS = {"V": 1.0 / FULL_VOLTAGE, "%": 1e-2, "1": 1.0, "-": 1.0, "mV": 1e-3 / FULL_VOLTAGE}
 
 UNITS: dict[str, dict[str, float]] = {
@@ -120,12 +118,6 @@ class ColumnMap(Group):
         """The given columns by signal."""
         given = {name: getattr(self, name) for name in ("time", *MEASURED, LOAD_PRESSURE, *AUXILIARY)}
         return {name: column for name, column in given.items() if column is not None}
-
-
-def split_heading(heading: str) -> tuple[str, str | None]:
-    """Name and unit of a heading: ``position [mm]`` or ``position (mm)``."""
-    match = _HEADING.fullmatch(heading)
-    return (match[1], match[2]) if match else (heading, None)
 
 
 def read_map(path: Path | None) -> ColumnMap | None:

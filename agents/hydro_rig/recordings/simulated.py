@@ -72,10 +72,10 @@ def record_axis(
         np.array([seed]),
         None if leakage_flow_lpm is None else np.array([leakage_flow_lpm]),
         None if family is None else np.array([family]),
-        faults={name: np.array([size]) for name, size in (faults or {}).items()} or None,
+        faults={name: np.array([size]) for name, size in (faults or {}).items()},
     )
     signals, run = measured_run(config, controller, cases)
-    failed = bool(run.failed_at[0] >= 0)
+    failed = run.failed_at[0] >= 0
     rows = int(run.failed_at[0]) + 1 if failed else config.steps
     duration = rows * config.control_period
     time = np.arange(rows) * config.control_period
@@ -85,11 +85,10 @@ def record_axis(
 
 def recording_csv(time: Array, signals: Floats, note: str = "") -> str:
     """A recording as CSV text; ``time`` (n,), s; ``signals`` (5, n), SI, in the order of MEASURED; NaN: absent."""
-    values = dict(zip(MEASURED, signals, strict=True))
     table = pd.DataFrame({heading("time"): np.round(time, 6)})
-    for name in MEASURED:
-        if np.isfinite(values[name]).any():
-            table[heading(name)] = values[name] / factor(name, WRITTEN_UNITS[name], name)
+    for name, values in zip(MEASURED, signals, strict=True):
+        if np.isfinite(values).any():
+            table[heading(name)] = values / factor(name, WRITTEN_UNITS[name], name)
     comment = f"# {' '.join(note.split())}\n" if note else ""
     return comment + table.to_csv(index=False, float_format=_FORMAT, lineterminator="\n")
 

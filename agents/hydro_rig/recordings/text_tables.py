@@ -11,7 +11,8 @@ from pathlib import Path
 import pandas as pd
 
 from hydro_env.files import encoding_of
-from hydro_rig.recordings.columns import UNITS, split_heading
+from hydro_env.units import split_heading
+from hydro_rig.recordings.columns import UNITS
 
 OTHER_ENCODING = "cp1252"  # of texts that are not UTF-8: that of Western Windows programs
 BEGINNING = 200_000  # bytes, in which the headings stand
