@@ -253,11 +253,10 @@ class Reading(NamedTuple):
         values = dict.fromkeys(cls._fields, np.nan) | {"fault": "", "why": Why.ANSWERED} | known
         values |= {"score": score, "cause": cause}
         kinds = {"fault": object, "cause": np.int8, "why": np.int8}
-        arrays = []
-        for name, value in values.items():
-            array = np.asarray(value, kinds.get(name, np.float64))
-            arrays.append(np.broadcast_to(array, score.shape).copy())
-        return cls._make(arrays)
+        return cls._make(
+            np.broadcast_to(np.asarray(value, kinds.get(name, float)), score.shape).copy()
+            for name, value in values.items()
+        )
 
     @property
     def answers(self) -> Mask:

@@ -204,9 +204,8 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
     more = {name: prior for name, prior in timing_priors(problem.model.config).items() if name not in names}
     wide = problem.part(odd).with_more(more)
     scaled, data = _approach(wide, np.pad(first[odd], ((0, 0), (0, len(more)))), settings), wide.measured
-    errors, spikes = Errors.of_data_sheet(*data.shape[:2]), np.zeros(data.shape, bool)
+    kept, spikes = wide._replace(errors=Errors.of_data_sheet(*data.shape[:2])), np.zeros(data.shape, bool)
     for attempt in range(ROUNDS):
-        kept = wide._replace(measured=np.where(spikes, np.nan, data), errors=errors)
         scaled, directions = fit(kept, scaled, settings.effort)
         if attempt == 0:
             before = scaled
@@ -217,7 +216,7 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
         spikes = spikes_of(residual, readable)
         known = readable & ~spikes
         errors, unlikelihood = errors_of(np.where(known, residual, 0.0), known)
-    kept = wide._replace(measured=np.where(spikes, np.nan, data), errors=errors)
+        kept = wide._replace(measured=np.where(spikes, np.nan, data), errors=errors)
     again = assess(kept, scaled, directions)
     again.deviations[:] = np.hypot(again.deviations, (scaled - before) * wide.model.prior.slope(scaled))
     signal = np.where(np.isfinite(kept.measured).any(axis=2, keepdims=True), kept.measured, 0.0)  # 0: absent

@@ -265,7 +265,8 @@ def _excess(found: Estimate, task: TaskConfig) -> Floats:
 
 def _in_words(found: Estimate, faulty: Mask) -> tuple[str, ...]:
     """The faults of each window as text; the size of a fault is the median over all windows that show it."""
-    texts = []
-    for (name, wear), rows in zip(WEAR.items(), faulty.T, strict=True):
-        texts.append(wear.sized(np.median(found.value(name)[rows])) if rows.any() else "")
+    texts = [
+        wear.sized(np.median(found.value(name)[rows])) if rows.any() else ""
+        for (name, wear), rows in zip(WEAR.items(), faulty.T, strict=True)
+    ]
     return tuple(" and ".join(compress(texts, row)) for row in faulty)
