@@ -162,7 +162,7 @@ class Axes:
         if self._has_waves:
             begins = [(task_kernel.begin_with_lines, axes)]
         for begin, chosen in begins:
-            if len(chosen) > 0:
+            if len(chosen):
                 begin(chosen, self._task, self._layout, self._chances, self.options.fixed, self.physical, *self.arrays)
         self._check_begun(axes)
         self._note_schedules()
@@ -180,7 +180,7 @@ class Axes:
 
     def _check_begun(self, axes: Indices) -> None:
         failed = axes[self.column("failure")[axes] != NO_FAILURE]
-        if len(failed) == 0:
+        if not len(failed):
             return
         axis = failed[0]
         plant, what = self.parameters(axis), "its reference cannot be reached"
@@ -272,7 +272,7 @@ class Axes:
 
     def close(self) -> None:
         """Stop the worker threads; may be called more than once."""
-        if self._pool is not None:
+        if self._pool:
             self._pool.shutdown()
             self._pool = None
 

@@ -251,7 +251,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
             "reward_terms": terms,
             "faults": {name: float(size[0]) for name, size in self._axes.faults().items()} if row[_FAULTY] else {},
         }
-        if self.config.law is not None:
+        if self.config.law:
             info["rig"] = int(row[_RIG])
         if self._axes.has_tip:
             info["tip_position"] = float(self._axes.tip_position()[0])
@@ -290,7 +290,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
 
     def close(self) -> None:
         """Close the window, if there is one; may be called more than once."""
-        if self._renderer is not None:
+        if self._renderer:
             self._renderer.close()
             self._renderer = None
         self._axes.close()

@@ -206,7 +206,7 @@ class ResetOptions:
 
     def _checked_reference(self, values: Floats, where: str, half: float) -> Floats:
         """The reference with the length that an episode needs; its last value is repeated."""
-        if len(values) == 0:
+        if not len(values):
             raise ConfigurationError(f"{where}: must be a row of positions in m")
         wrong = ~(np.abs(values) < half)
         if wrong.any():

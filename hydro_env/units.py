@@ -59,7 +59,7 @@ def _plain(unit: str) -> str:
 def split_quantity(text: str) -> tuple[float | None, str]:
     """Number and unit of a text such as ``63 mm``; ``None`` and nothing for any other text."""
     found = _QUANTITY.fullmatch(text.strip())
-    return (float(found[1]), found[2].strip()) if found is not None else (None, "")
+    return (float(found[1]), found[2].strip()) if found else (None, "")
 
 
 def split_heading(heading: str) -> tuple[str, str | None]:

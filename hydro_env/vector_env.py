@@ -71,7 +71,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
             raise ConfigurationError(f"render_mode = {shown(render_mode)}: the vector environment does not draw")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         task = task_config(config, **overrides)
-        if max_episode_steps is not None and task.law is not None:
+        if max_episode_steps is not None and task.law:
             raise ConfigurationError("max_episode_steps: drawn rigs differ in their periods; give episode_duration")
         if max_episode_steps is not None and max_episode_steps != task.steps:
             steps = whole_number("max_episode_steps", max_episode_steps, 1)
@@ -245,7 +245,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
             "reference_family": family,
             "failure": failure,
         }
-        if self.config.law is not None:
+        if self.config.law:
             values["rig"] = column("rig").astype(np.int64)
         if self._axes.has_tip:
             values["tip_position"] = np.where(present, self._axes.tip_position(), 0.0)
@@ -264,7 +264,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
         """Stop the worker threads."""
         del kwargs
         axes = getattr(self, "_axes", None)  # absent if the constructor raised an error
-        if axes is not None:
+        if axes:
             axes.close()
 
 

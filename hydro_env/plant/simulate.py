@@ -197,7 +197,7 @@ def _check_range(parameters: PlantParameters, time: Floats, states: Floats) -> N
 
 def _checked_input(voltage: ArrayLike) -> Floats:
     inputs = np.asarray(voltage, float)
-    if inputs.ndim != 1 or len(inputs) == 0:
+    if inputs.ndim != 1 or not len(inputs):
         raise HydroError(f"voltage: must be one row of at least one value, not of shape {inputs.shape}")
     wrong = ~(np.abs(inputs) <= FULL_VOLTAGE)
     if wrong.any():

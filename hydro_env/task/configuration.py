@@ -214,7 +214,7 @@ class TaskConfig(Group):
                 f"command_latency = {self.command_latency:g} s must not exceed {MOST_LATE} times "
                 f"control_period = {self.control_period:g} s"
             )
-        if self.command_latency_range is not None:
+        if self.command_latency_range:
             low, high = self.command_latency_range
             if not 0.0 <= low <= high <= longest:
                 raise ValueError(
@@ -223,7 +223,7 @@ class TaskConfig(Group):
                 )
         if self.episode_duration < self.control_period:
             raise ValueError("episode_duration must be at least one control_period")
-        if self.law is not None and not (self.sensors.pressure_a.fitted and self.sensors.pressure_b.fitted):
+        if self.law and not (self.sensors.pressure_a.fitted and self.sensors.pressure_b.fitted):
             raise ValueError("sensors.pressure_a, pressure_b: a task that draws its rigs needs both")
         check_draws(self.randomisation, self.plant)
         return self

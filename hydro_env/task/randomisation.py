@@ -165,7 +165,7 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
         if distribution.log_factor is not None and own < 0.0:
             raise ConfigurationError(f"randomisation: {path}: log_factor needs a positive value, not {own:g}")
         values = list(distribution.bounds(own))
-        if distribution.times is not None:
+        if distribution.times:
             factor = own_value(plant, distribution.times)
             drawn = randomisation.get(distribution.times)
             factors = (factor, factor) if drawn is None else drawn.bounds(factor)

@@ -154,7 +154,7 @@ def task_from(
         raise ConfigurationError(f"task: {by_law[0]}: the law draws it with each rig")
     task = validate(model, values, source, within)
     given, law = overrides.get("references"), getattr(task, "law", None)
-    if law is not None and law.preview_paces and isinstance(given, Mapping) and "preview_times" in given:
+    if law and law.preview_paces and isinstance(given, Mapping) and "preview_times" in given:
         raise ConfigurationError("task: references.preview_times: the law shows paces instead: law.preview_paces = []")
     return task
 
@@ -261,7 +261,7 @@ def _moved_ranges(task: Any, rig: Rig) -> ByName:
     for path, draw in own.items():
         value = own_value(rig.plant, path)
         low, high = draw.bounds(value)
-        if draw.times is not None:
+        if draw.times:
             low, high = (end * own_value(rig.plant, draw.times) for end in (low, high))
         if not (draw.relative or low <= value <= high or value == draw.otherwise):
             raise ConfigurationError(

@@ -89,7 +89,7 @@ Layout = tuple[tuple[str, ...], tuple[str, ...], Floats, Floats]
 
 def observation_layout(config: TaskConfig) -> Layout:
     """Names, units, scales (SI per 1 of the observation) and largest absolute values (in the observation)."""
-    if config.law is not None:
+    if config.law:
         return _own_layout(config, config.law)
     half = 0.5 * config.plant.cylinder.stroke
     reference, *others = _entries(half)
@@ -150,7 +150,7 @@ def layout_of(config: TaskConfig, law: RigLaw | None = None) -> Array:
     layout["limit"] = limit
     layout["preview"][1 : 1 + len(config.preview_samples)] = config.preview_samples
     layout["entry"] = [Entries._fields.index(name) if name in Entries._fields else 0 for name in names]
-    if law is not None:
+    if law:
         scale = _own_scale(config, names, units)
         if not config.sensors.spool_position.fitted:  # the best substitute
             layout["entry"][names.index("spool_position")] = Entries._fields.index("previous_command")

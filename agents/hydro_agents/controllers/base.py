@@ -83,7 +83,7 @@ class ObservationLayout:
     @classmethod
     def of(cls, config: TaskConfig) -> "ObservationLayout":
         """The layout of a task's observations."""
-        if config.law is not None:
+        if config.law:
             raise ConfigurationError("law: a controller is made for one rig; rig_tasks(config) lists those of the law")
         names, _, scale, _ = observation_layout(config)
         return cls(names, tuple(scale.tolist()), config.control_period)

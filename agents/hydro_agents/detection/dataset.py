@@ -122,7 +122,7 @@ def _chunks(
         for acting in all_acting:
             name, controller = (acting, None) if isinstance(acting, str) else ("", acting)
             largest = CHUNK
-            if settings.law is not None:
+            if settings.law:
                 largest = CHUNK_OF_POLICY if name == POLICY else CHUNK_OF_RIG
             for leak, share, moves in SHARES:
                 count = round(episodes * share * row.share / total / len(all_acting))

@@ -56,7 +56,7 @@ def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: 
     ``controller`` is an agent that reads the observation of drawn rigs; ``None``: ``what`` is loaded for the rig's own
     task (:func:`~hydro_agents.learning.loading.load_controller`).
     """
-    assert drawn.law is not None
+    assert drawn.law
     law = {"first": drawn.law.first + number, "count": 1}
     own = task = rig_tasks(task_config(drawn, law=law | {"preview_paces": ()}))[0]
     if controller is None:
@@ -84,7 +84,7 @@ def on_drawn_rigs(
         ConfigurationError: an agent cannot be made, or failed.
     """
     jobs = {}
-    assert drawn.law is not None
+    assert drawn.law
     for name, what in {UNTUNED: "flow_linearising", **agents}.items():
         of_rig = what in (*CONTROLLERS, *SHIPPED_WEIGHTS)
         controller = None if of_rig else load_controller(what, drawn, name)

@@ -101,11 +101,12 @@ def sizes(results: Results) -> Rows:
     if len(bound := results.part("bound")):
         bounds = bound.groupby(["condition", "level"])["sigma_lpm"].median().to_dict()
     for cell, frame in _cells(results):
-        row = cell | _errors_of_size(frame, cell["level"])
-        row["bound_lpm"] = bounds.get((cell["condition"], cell["level"]), np.nan)
+        level = cell["level"]
+        row = cell | _errors_of_size(frame, level)
+        row["bound_lpm"] = bounds.get((cell["condition"], level), np.nan)
         row["bound_rms_log10"] = np.nan
-        if cell["level"] > 0.0:
-            row["bound_rms_log10"] = row["bound_lpm"] / cell["level"] / np.log(10.0)
+        if level > 0.0:
+            row["bound_rms_log10"] = row["bound_lpm"] / level / np.log(10.0)
         row["ratio_to_bound"] = row["rms_log10"] / row["bound_rms_log10"]
         yield row
 

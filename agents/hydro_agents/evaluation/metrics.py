@@ -151,7 +151,7 @@ def standstills(reference: Array, period: float) -> list[tuple[int, int]]:
 def settling_time(error: Array, period: float) -> float:
     """Time in s from the first sample until |error| stays within the band; NaN if it does not."""
     outside = np.flatnonzero(np.abs(error) > SETTLING_BAND)
-    if len(outside) == 0:
+    if not len(outside):
         return 0.0
     if outside[-1] == len(error) - 1:
         return math.nan

@@ -142,7 +142,7 @@ def run_cases(
         ((4, 100), [-1, -1, -1, -1])
     """
     check_predict(controller)
-    if config.law is not None and config.law.count > 1:
+    if config.law and config.law.count > 1:
         raise ConfigurationError("law: a run is on one rig; rig_tasks(config) lists those of the law")
     rig = rig_tasks(config)[0]  # the task itself if it draws none
     count, steps = len(cases), rig.steps

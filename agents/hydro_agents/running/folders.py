@@ -24,7 +24,7 @@ def shipped_weights(name: str, config: TaskConfig) -> Path:
     Raises:
         ConfigurationError: the task draws its rigs.
     """
-    if config.law is not None:
+    if config.law:
         raise ConfigurationError("law: a controller is made for one rig; rig_tasks(config) lists those of the law")
     if config.plant != PlantParameters() or config.control_period != TaskConfig().control_period:
         name = f"{name}_any_axis"

@@ -183,14 +183,14 @@ def answers_of(waiting: Mapping[str, Job]) -> Generator[tuple[str, JobResult], N
 def _run_alone(key: str, job: Job) -> tuple[str, JobResult]:
     """Run a job on one core: as many jobs as cores run side by side, and a user's may use torch."""
     torch = sys.modules.get("torch")
-    if torch is not None:
+    if torch:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
     try:
         with parallel_config("sequential"):  # jobs of a job do not go to the pool that waits for it
             return key, job.run()
     finally:
-        if torch is not None:
+        if torch:
             torch.set_num_threads(threads)
 
 

@@ -80,7 +80,7 @@ def _weighted(values: Array, weights: Weights) -> Floats:
 def interval(resampled: Floats, plants: int) -> Interval:
     """The estimate (first) and the percentiles of the resamplings; no interval with too few plants."""
     values = resampled[1:][np.isfinite(resampled[1:])]
-    if plants < LEAST_SAMPLES or len(values) == 0:
+    if plants < LEAST_SAMPLES or not len(values):
         return Interval(float(resampled[0]), np.nan, np.nan)
     low, high = np.quantile(values, [0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)])
     return Interval(float(resampled[0]), float(low), float(high))

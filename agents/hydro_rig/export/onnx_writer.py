@@ -94,7 +94,7 @@ class OnnxWriter:
     # Operators ----------------------------------------------------------------------------------------------------
 
     def _written(self, node: Node) -> str:
-        operation = node.operation
+        operation, add = node.operation, self.add
         name, origin = node.name or operation, node.origin
         if operation == "input":
             return self.given[node.name]
@@ -104,24 +104,24 @@ class OnnxWriter:
         tensors = [self._names.get(one) or self.tensor(one) for one in node.operands]  # new: inputs and constants
         if operation == "collect":
             assert node.table is not None
-            joined = tensors[0] if len(tensors) == 1 else self.add("Concat", tensors, name, origin, axis=0)
+            joined = tensors[0] if len(tensors) == 1 else add("Concat", tensors, name, origin, axis=0)
             if np.array_equal(node.table, np.arange(sum(one.size for one in node.operands))):
                 return joined
-            return self.add("Gather", [joined, self._constant(node.table, f"{name}_places")], name, axis=0)
+            return add("Gather", [joined, self._constant(node.table, f"{name}_places")], name, axis=0)
         if operation == "cast":
-            return self.add("Cast", tensors, name, origin, to=self._type(node.kind))
+            return add("Cast", tensors, name, origin, to=self._type(node.kind))
         if operation == "where" and node.kind == np.bool_:  # onnxruntime has no Where of truth values
             test, yes, no = tensors
-            other = self.add("And", [self.add("Not", [test], f"not_{name}"), no], name)
-            return self.add("Or", [self.add("And", [test, yes], name), other], name, origin)
+            other = add("And", [add("Not", [test], f"not_{name}"), no], name)
+            return add("Or", [add("And", [test, yes], name), other], name, origin)
         if operation == "sum":
             terms = [self._shaped(tensors[0], node.sizes, name), self._constant(np.array([1]), "axis")]
-            return self._shaped(self.add("ReduceSum", terms, name, origin, keepdims=0), (node.size,), name)
+            return self._shaped(add("ReduceSum", terms, name, origin, keepdims=0), (node.size,), name)
         if operation == "matmul":
             rows, inner, columns = node.sizes
             factors = [self._shaped(tensors[0], (rows, inner), name), self._shaped(tensors[1], (inner, columns), name)]
-            return self._shaped(self.add("MatMul", factors, name, origin), (node.size,), name)
-        return self.add(_OPERATORS.get(operation, operation.capitalize()), tensors, name, origin)
+            return self._shaped(add("MatMul", factors, name, origin), (node.size,), name)
+        return add(_OPERATORS.get(operation, operation.capitalize()), tensors, name, origin)
 
     def _shaped(self, tensor: str, shape: tuple[int, ...], name: str) -> str:
         return self.add("Reshape", [tensor, self._constant(np.array(shape), f"{name}_shape")], f"{name}_shaped")

@@ -77,7 +77,7 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Ranges) -> dict[str, ByName]:
             inside = max(one.low, least), min(one.high, most)  # the whole interval if it lies outside
             low, high = inside if inside[0] <= inside[1] else (one.low, one.high)
             low, high = (within_bounds(path, end) for end in (low, high))
-            if given.times is not None:  # a ratio is never below the old one: breakaway stays above Coulomb friction
+            if given.times:  # a ratio is never below the old one: breakaway stays above Coulomb friction
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
                 low, high = max(low / factor, least), max(high / factor, least)
             result[path] = {"uniform": [low, high]} | ({} if given.times is None else {"times": given.times})

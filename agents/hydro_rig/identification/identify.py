@@ -72,7 +72,7 @@ class Identification:
         the null adds up.
         """
         whole, ahead = self.whole, self.ahead
-        if ahead is not None and whole.share[POSITION] < LEAST_EXPLAINED <= ahead.share[POSITION]:
+        if ahead and whole.share[POSITION] < LEAST_EXPLAINED <= ahead.share[POSITION]:
             return ahead
         return whole
 

@@ -265,7 +265,7 @@ class FleetWatch:
             self.axes[name] = axis
         before = axis.condition
         look = axis.add(row)
-        if look is not None:
+        if look:
             self._keep(look, look.condition is not before)
             yield look
             yield from self.silent(row.time)
@@ -274,7 +274,7 @@ class FleetWatch:
         """The looks at axes that have fallen silent; ``now``, s: default: ``waited`` after the newest row of each."""
         for axis in self.axes.values():
             look = axis.silent(axis.newest + waited if now is None else now)
-            if look is not None:
+            if look:
                 self._keep(look, changed=True)
                 yield look
 
@@ -317,7 +317,7 @@ class FleetWatch:
             self._best[name] = best = look
         rows = self.table["until"][self.table["axis"] == name]
         last = 0.0 if rows.empty else np.datetime64(rows.max(), "s").astype(np.int64)
-        if best is not None and (changed or look.time - last >= READING_EVERY):
+        if best and (changed or look.time - last >= READING_EVERY):
             self._write(look, best)
             del self._best[name]
 

@@ -49,7 +49,7 @@ def row_of_file(path: Path, axis: Axis) -> ByName:
 def _began(path: Path) -> float:
     """s since 1970 by the name of a file, or by its age."""
     found = _DATE.search(path.name)
-    if found is not None:
+    if found:
         with suppress(ValueError):  # the 45th of a month
             return datetime(*(int(part or 0) for part in found.groups()), tzinfo=UTC).timestamp()  # type: ignore[arg-type,misc]
     return path.stat().st_mtime
