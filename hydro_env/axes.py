@@ -215,7 +215,7 @@ class Axes:
     def _groups(self) -> list[tuple[int, Indices]]:
         """Number of each structure among the task's, and the axes that have it now."""
         numbers = self._kind_of_rig[self.rigs()]
-        return [(int(number), np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
+        return [(number, np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
 
     def _advance(self, kernel: Any, arguments: tuple[Any, ...], actions: Array) -> None:
         """Advance axes that have one structure, in several threads if they are many."""

@@ -169,7 +169,7 @@ class ResetOptions:
         for base, draws, own in self._rigs:
             vector = np.where(np.isnan(row), base, row)
             for draw in draws:
-                index, times = int(draw["parameter"]), int(draw["times"])
+                index, times = draw["parameter"], draw["times"]
                 if not np.isnan(row[index]):
                     continue
                 factor = vector[times] if times >= 0 else 1.0

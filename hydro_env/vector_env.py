@@ -135,14 +135,14 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
             self._np_random, self._np_random_seed = seeding.np_random(first)
             seeds = [first + axis for axis in range(self.num_envs)]
         elif not self._seeded:
-            seeds = [int(value) for value in self.np_random.integers(0, 2**62, self.num_envs)]
+            seeds = self.np_random.integers(0, 2**62, self.num_envs).tolist()
         else:
             return
         self._seeded = True
         for axis in axes:
             value = seeds[axis]
             if value is not None:
-                self._axes.seed(int(axis), seeding.np_random(value)[0])
+                self._axes.seed(axis, seeding.np_random(value)[0])
 
     def step(self, actions: Singles) -> tuple[Singles, Floats, Mask, Mask, Info]:
         """Advance every axis by one control period.

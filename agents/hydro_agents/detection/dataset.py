@@ -137,7 +137,7 @@ def simulated(
     controller: Controller | None, settings: HeadTrainingSettings, chunk: Chunk, seeds: Indices, config: TaskConfig
 ) -> Columns:
     """The windows of one chunk."""
-    generator = np.random.default_rng([int(seeds[0]), chunk.row])
+    generator = np.random.default_rng([seeds[0], chunk.row])
     count, changing = chunk.axes, chunk.leak in CHANGING
     sizes, steps = _lengths(generator, settings, config, changing)
     noise = float(np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE))))
@@ -151,7 +151,7 @@ def simulated(
     rig = np.empty(0, np.float32) if settings.law is None else rig_features(config)
     faults[EXTERNAL_LEAK] = np.minimum(scale * faults[EXTERNAL_LEAK], fault_limits(EXTERNAL_LEAK)[1])
     labels[:, 0] = leaks > config.leakage.class_bounds[0]
-    acting: Any = ACTING[chunk.acting](task, count, int(seeds[0])) if chunk.acting else controller
+    acting: Any = ACTING[chunk.acting](task, count, seeds[0]) if chunk.acting else controller
     moves = None
     if chunk.disturbed:
         moves = drawn(generator, generator.choice(list(DISTURBANCES), count), steps, config.control_period)

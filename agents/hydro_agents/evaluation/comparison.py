@@ -134,7 +134,7 @@ class Grid:
         row["worst_ratio"] = np.nanmax(ratios, initial=-np.inf) if mine.plants else np.nan
         for name, metric in COMPARED.items():
             row[name] = _ratio(*self.pair(controller, against, metric.name, plants, situations))
-        return row | {"cases": int((~np.isnan(mine.values)).sum())}
+        return row | {"cases": (~np.isnan(mine.values)).sum()}
 
     def _kinds(self, plants: Mask, situations: Mask) -> list[tuple[Mask, Mask]]:
         """The plants of each family, and the situations of each condition."""

@@ -41,10 +41,10 @@ def errors_of(run: Rollout, cases: Cases, stroke: float) -> dict[str, float]:
     error = np.abs(run.position + run.position_bias[:, None] - run.reference)
     for axis in np.flatnonzero(run.failed_at >= 0):
         error[axis, run.failed_at[axis] :] = stroke
-    errors = {f"{family}_um": 1e6 * float(error[cases.families == family].mean()) for family in MOVING_FAMILIES}
+    errors = {f"{family}_um": 1e6 * error[cases.families == family].mean() for family in MOVING_FAMILIES}
     return {
         "error_um": float(np.exp(np.mean(np.log(list(errors.values()))))),
-        "failures": int((run.failed_at >= 0).sum()),
+        "failures": (run.failed_at >= 0).sum(),
         "travel": float(np.abs(np.diff(run.command, axis=1)).mean() / run.time[0]),
         **errors,
     }

@@ -151,7 +151,7 @@ class LeakProtocol(Protocol[LeakCondition]):
         ledger = LEAK_THRESHOLDS if validation else LEAKAGE
         seeds, flow = np.array(ledger.take(count)), np.full(count, level)
         if level == HEALTHY:
-            share = np.array([np.random.default_rng([int(seed), 11]).random() for seed in seeds])
+            share = np.array([np.random.default_rng([seed, 11]).random() for seed in seeds])
             low, high = np.log(task.leakage.healthy_range)
             flow = np.exp(low + share * (high - low))
         faults = {fault: np.full(count, size) for fault, size in condition.faults.items()}
@@ -224,10 +224,10 @@ def simulated_windows(config: TaskConfig, acting: str, cases: Cases, samples: in
         ControllerError: the controller of the axes failed.
         ConfigurationError: a run cannot begin.
     """
-    controller = ACTING[acting](config, len(cases), int(cases.seeds[0]))
+    controller = ACTING[acting](config, len(cases), cases.seeds[0])
     signals, run = measured_run(config, controller, cases)
     spare = config.steps - samples
-    places = [np.random.default_rng([int(seed), 13]).integers(spare // 2, spare + 1) for seed in cases.seeds]
+    places = [np.random.default_rng([seed, 13]).integers(spare // 2, spare + 1) for seed in cases.seeds]
     return cut(signals, np.array(places), samples), {
         "seed": cases.seeds.astype(float),
         "leak_lpm": run.leakage_flow_lpm.astype(float),

@@ -42,7 +42,7 @@ def summary(results: Results) -> Rows:
                         "metric": metric,
                         "unit": about.unit,
                         **interval(chosen.mean, chosen.plants).named("mean"),
-                        "cases": int((~np.isnan(chosen.values)).sum()),
+                        "cases": (~np.isnan(chosen.values)).sum(),
                         "training_seeds": len(chosen.values),
                     }
 

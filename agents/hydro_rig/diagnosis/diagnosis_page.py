@@ -89,11 +89,11 @@ def diagnosis_page(
         "recording": recording.source,
         "rig assumed": rig_line(diagnosis.task.plant),
         "begins": began,
-        "duration, s": float(recording.time[-1]),
+        "duration, s": recording.time[-1],
         "rows": len(recording.time),
         "control period, ms": 1e3 * samples.period,
         "windows": len(diagnosis.windows),
-        "windows with an answer": int(diagnosis.reading.answers.sum()),
+        "windows with an answer": diagnosis.reading.answers.sum(),
     }
     page.facts(facts)
     return page

@@ -266,7 +266,7 @@ def read_leak_test(path: Path, config: TaskConfig, columns: ColumnMap | None = N
 
 def _windows(samples: Sampled) -> Windows:
     """The last windows with all commands."""
-    total = int(samples.place[-1]) + 1 if len(samples.place) else 0
+    total = samples.place[-1] + 1 if len(samples.place) else 0
     count = max(round(total * samples.period / WINDOW), 1)
     windows = cut(samples, max(total // count, 2))  # to the last move
     return windows.part(np.flatnonzero(windows.commanded)[-MOST_WINDOWS:])

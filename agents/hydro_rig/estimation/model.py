@@ -147,7 +147,7 @@ class Model:
         window = np.repeat(np.arange(self.count), len(scaled) // self.count)
         physical, start = self._physical[window], self._start[window]
         latency = np.full(len(window), config.command_latency)
-        lag = np.full(len(window), float(settings_of(config)[0]["pressure_lag"] * period))
+        lag = np.full(len(window), settings_of(config)[0]["pressure_lag"] * period)
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         commands = self.commands.beginning(samples or self.samples)
         course = np.zeros((len(window), commands.command.shape[1]))

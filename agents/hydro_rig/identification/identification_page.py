@@ -68,7 +68,7 @@ def identification_page(found: Identification) -> Page:
     facts = {
         "recordings": listed([recording.source for recording in found.recordings]),
         "windows of the fit": len(found.parts.fitted),
-        "explained to within the sensors' noise": int(found.fit.explained.sum()),
+        "explained to within the sensors' noise": found.fit.explained.sum(),
         "held back": "; ".join(place_of_part(found, part) for part in found.held_back) or "nothing",
     }
     page.facts(facts)
@@ -183,7 +183,7 @@ def as_json(found: Identification, command: str) -> Any:
         unit = "l/min at 100 bar" if one.name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI"
         unknowns[one.name] = one._asdict() | {"unit": unit, "determined": fit.knows(one)}
     parts = [
-        {"recording": sources[part.recording], "from_s": part.begin, "to_s": part.begin + float(part.time[-1])}
+        {"recording": sources[part.recording], "from_s": part.begin, "to_s": part.begin + part.time[-1]}
         | sizes(part.whole)
         for part in found.held_back
     ]

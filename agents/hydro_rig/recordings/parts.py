@@ -201,7 +201,7 @@ def _with_motion(windows: Windows) -> Mask:
     chosen = np.zeros(count, bool)
     if count < 2:
         return chosen
-    span = float(windows.end[0] - windows.begin[0])
+    span = windows.end[0] - windows.begin[0]
     size = min(max(count - round((1.0 - HELD_BACK_SHARE) * count), 1), max(round(LONGEST_HELD_BACK / span), 1))
     travel = _ranges(windows.signals)[:, POSITION]
     for begin in range(count - size, -1, -1):
@@ -217,7 +217,7 @@ def _with_motion(windows: Windows) -> Mask:
 
 def _as_stretch(recording: int, windows: Windows, longest: float) -> Stretch:
     """The longest stretch of windows without a gap between them, at most ``longest`` s."""
-    span = float(windows.end[0] - windows.begin[0])
+    span = windows.end[0] - windows.begin[0]
     most = max(round(longest / span), 1)
     breaks = np.flatnonzero(np.abs(windows.begin[1:] - windows.end[:-1]) > 0.1 * span) + 1
     stretches = np.split(np.arange(len(windows)), breaks)

@@ -60,7 +60,7 @@ def growth(
     kept = kept[_usual(when[kept], y[kept], error[kept])]
     if len(kept) < FEWEST or np.ptp(when[kept]) <= 0.0:
         return NO_GROWTH
-    now = float(when[-1]) if now is None else now
+    now = when[-1] if now is None else now
     span = np.ptp(when[kept])
     level, slope = _drawn((when[kept] - now) / span, y[kept], error[kept], common)
     left = np.log10(limit) - level

@@ -174,9 +174,7 @@ class AxisWatch:
         stamps = np.array([time for time, _ in self._rows])
         signals, others = np.split(np.array([row for _, row in self._rows]).T, [len(MEASURED)])
         auxiliary = {name: row for name, row in zip(AUXILIARY, others, strict=True) if np.isfinite(row).any()}
-        return Recording(
-            self.name, stamps - stamps[0], signals, {}, [], auxiliary, float(stamps[0])
-        ).with_plausible_oil()
+        return Recording(self.name, stamps - stamps[0], signals, {}, [], auxiliary, stamps[0]).with_plausible_oil()
 
     @staticmethod
     def _newest_window(samples: Sampled, now: float) -> Windows:

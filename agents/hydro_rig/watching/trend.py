@@ -140,7 +140,7 @@ def trend_of(name: str, rows: pd.DataFrame, axis: Axis, error: str, now: float |
     # Without copies of a file under another name.
     rows = rows[~rows.duplicated(["time", "until", "verdict", "size_40"], keep="last")]
     rows = rows.assign(begin=seconds(rows["time"]), end=seconds(rows["until"])).sort_values("begin", kind="stable")
-    last = float(rows["end"].max())
+    last = rows["end"].max()
     now = last if now is None else now
     late = LATE * np.fmax(DAY, rows["begin"].diff().median())
     stale = abs(now - last) > late  # also by a clock that runs ahead

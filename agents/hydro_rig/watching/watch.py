@@ -42,7 +42,7 @@ def row_of_file(path: Path, axis: Axis) -> ByName:
     """
     rows = read_recording(path, axis.columns)
     clock = 0.0 if FIRST_DATE <= rows.begin <= LAST_DATE else _began(path) - rows.begin
-    last = rows.begin + float(rows.time[-1])
+    last = rows.begin + rows.time[-1]
     return {"time": clock + rows.begin, "until": clock + last, **row_of(rows, axis.task, axis.oil)}
 
 
