@@ -32,8 +32,8 @@ class Preview:
         known = np.array([0, *self.counts])
         ahead = np.arange(1, self.horizon + 1)
         self._right = np.searchsorted(known, ahead)
-        distance = known[self._right] - known[self._right - 1]
-        self._share = (ahead - known[self._right - 1]) / distance
+        before = known[self._right - 1]
+        self._share = (ahead - before) / (known[self._right] - before)
 
     def start(self, batch: Observation) -> Floats:
         """The memory at the start of an episode, (N, horizon + 2).

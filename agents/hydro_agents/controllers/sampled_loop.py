@@ -102,8 +102,7 @@ class SampledLoop:
         z = np.exp(2j * np.pi * self.control_period * np.asarray(frequencies))[:, None]
         inputs = z**-self.late * (self.input_new + self.input_old / z)
         matrix = z[..., None] * np.eye(len(self.transition)) - self.transition
-        states = np.linalg.solve(matrix, inputs[..., None])[:, :, 0]
-        return self.position_size * states[:, 0]
+        return self.position_size * np.linalg.solve(matrix, inputs[..., None])[:, 0, 0]
 
     def step_response(self, gain: float, periods: int) -> Floats:
         """Position after a step of the set point by 1 at the first of some periods, (periods,)."""
@@ -145,8 +144,7 @@ def sampled_loop(
         raise HydroError(f"control_period = {control_period} s: must be positive")
     if not 0.0 <= latency < np.inf:
         raise HydroError(f"latency = {latency} s: must not be negative")
-    moving = parameters.replace(friction={"model": "none"})
-    plant = linearise(moving, position=position)
+    plant = linearise(parameters.replace(friction={"model": "none"}), position=position)
     active = plant.active_states  # any other state would add a pole at z = 1
     rows, size = [plant.names.index(name) for name in active], typical_sizes(active)
     a = plant.a[np.ix_(rows, rows)] * size / size[:, None]

@@ -77,8 +77,7 @@ class Disturbances(NamedTuple):
 
     def felt(self, axes: Indices, begins: Array, samples: int) -> Floats:
         """Ranges of the courses in one window of each of some axes, over :data:`NOTICEABLE`, the largest; (axes,)."""
-        ranges = np.ptp(cut(self.course[axes], begins, samples), axis=2)
-        return (ranges / NOTICEABLE).max(axis=1)
+        return (np.ptp(cut(self.course[axes], begins, samples), axis=2) / NOTICEABLE).max(axis=1)
 
 
 def drawn(generator: np.random.Generator, kinds: NDArray[np.str_], steps: int, period: float) -> Disturbances:

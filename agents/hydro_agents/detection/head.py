@@ -269,8 +269,7 @@ class LeakageHead:
         group = groups(found, features[:, CHANGE], tensors["widths"], float(tensors["changing"][0]))
         chosen = (group[:, None] == np.arange(GROUPS)).astype(np.float32)
         distance = (chosen @ tensors["widening"].reshape(GROUPS, -1)).reshape(-1, len(SIZES), 2)
-        logarithms = np.clip(intervals(found, distance), np.log10(SMALLEST_FLOW), np.log10(LARGEST_FLOW))
-        sizes = 10.0**logarithms
+        sizes = 10.0 ** np.clip(intervals(found, distance), np.log10(SMALLEST_FLOW), np.log10(LARGEST_FLOW))
         sizes[:, 1] = np.where(sizes[:, 1] <= 1.05 * SMALLEST_FLOW, 0.0, sizes[:, 1])
         if self.leak_scale != 1.0:
             sizes = sizes * self.leak_scale

@@ -47,12 +47,11 @@ class ProtocolSettings(PairedCases):
 
     def protocol(self, task: TaskConfig, title: str = "Evaluation") -> RobustnessProtocol:
         """The evaluation as a protocol whose only condition is the task itself."""
-        ends = tuple(sorted({min(self.leak_levels), max(self.leak_levels)}))
         return RobustnessProtocol(
             title=title,
             task=task,
             conditions={"task": PairedCondition()},
-            standstill_leak_levels=ends,
+            standstill_leak_levels=tuple(sorted({min(self.leak_levels), max(self.leak_levels)})),
             chunk=2048,
             **self.model_dump(),
         )

@@ -125,8 +125,7 @@ class EstimatorDetector:
             better = np.flatnonzero(plain.holds)
             value[simple[better]] = plain.value(LEAKAGE)[better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[better]
-        reading = _reading(worn, excess, value, deviation, still, task)
-        return unread.replaced(chosen, reading), worn
+        return unread.replaced(chosen, _reading(worn, excess, value, deviation, still, task)), worn
 
     def _estimate(
         self,

@@ -91,8 +91,7 @@ def _spread(joint: Joint, information: Floats, score: Floats) -> Spread:
     informed = np.clip(total / variance, 0.0, 1.0)  # the rest is the prior's
     widening = np.sqrt(1.0 - informed + informed * ratio)
     quantile = stats.t.ppf(1.0 - TAIL, MODERATION + freedom)
-    reach = np.minimum(quantile * widening * np.sqrt(variance), stats.norm.ppf(1.0 - TAIL))
-    return Spread(widening, reach)
+    return Spread(widening, np.minimum(quantile * widening * np.sqrt(variance), stats.norm.ppf(1.0 - TAIL)))
 
 
 def possible_ends(problem: Problem, joint: Joint, spread: Spread, ends: Floats) -> Mask:

@@ -220,8 +220,7 @@ def _as_stretch(recording: int, windows: Windows, longest: float) -> Stretch:
     span = windows.end[0] - windows.begin[0]
     most = max(round(longest / span), 1)
     breaks = np.flatnonzero(np.abs(windows.begin[1:] - windows.end[:-1]) > 0.1 * span) + 1
-    stretches = np.split(np.arange(len(windows)), breaks)
-    chosen = max(stretches, key=len)[:most]
+    chosen = max(np.split(np.arange(len(windows)), breaks), key=len)[:most]
     signals, boundary = windows.signals[chosen], np.full((len(chosen), 2, windows.samples), np.nan)
     if windows.boundary is not None:
         boundary = windows.boundary[chosen]
