@@ -3,15 +3,11 @@
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from hydro_agents.commands.options import Columns, Json, Output, Overwrite, OwnTask, Recording, Rig, command_line, say
-
-if TYPE_CHECKING:
-    from hydro_rig.watching.fleet import Fleet
-
 
 FleetFile = Annotated[
     Path | None,
@@ -106,10 +102,11 @@ def watch(
     one false alarm in 100 hours. The table holds a reading per hour and each change of state; beside it lies the memory
     of the alarms, with which the next call goes on. `docs/watch.md` shows Telegraf and MQTT.
     """
+    from hydro_rig.watching.fleet import Fleet
     from hydro_rig.watching.rows import broker, lines_of, standard_input
     from hydro_rig.watching.stream import FleetWatch
 
-    axes = _fleet(fleet, task=task, rig=rig, map=columns, oil=oil, limit=limit)
+    axes = Fleet.of(fleet, task=task, rig=rig, map=columns, oil=oil, limit=limit)
     _tell_rig(fleet, task, rig)
     for look in FleetWatch(axes, append).looks(lines_of(broker(mqtt) if mqtt else standard_input), tag):
         say(look.line(protocol))
@@ -148,10 +145,11 @@ def trend(
     """
     from hydro_agents.running.machine import Origin
     from hydro_rig.estimation.solver import shown
+    from hydro_rig.watching.fleet import Fleet
     from hydro_rig.watching.page import trend_page
     from hydro_rig.watching.watch import watch
 
-    axes = _fleet(fleet, task=task, rig=rig, map=columns, oil=oil, limit=limit)
+    axes = Fleet.of(fleet, task=task, rig=rig, map=columns, oil=oil, limit=limit)
     with shown(as_json):
         found = watch(recordings or [], append, axes, jobs)
     _tell_rig(fleet, task, rig)
@@ -165,16 +163,6 @@ def trend(
         done = f"{append}: {found.read} files read, {found.known} known, {len(found.left_out)} left out"
         say(*(one.line() for one in found.trends), done, page)
     raise typer.Exit(found.exit_code)
-
-
-def _fleet(file: Path | None, **settings: Any) -> "Fleet":
-    """The axes by the file of a fleet, or all alike by the options of a command."""
-    from hydro_rig.watching.fleet import Fleet
-
-    for name in ("rig", "map"):
-        if settings[name] is not None:
-            settings[name] = str(settings[name])
-    return Fleet.of(file, settings)
 
 
 def _tell_rig(*given: object) -> None:

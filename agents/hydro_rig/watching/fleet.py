@@ -76,13 +76,17 @@ class Fleet(NamedTuple):
         return cls(next(iter(axes.values())), axes, str(path))
 
     @classmethod
-    def of(cls, file: Path | None, settings: Mapping[str, Any]) -> Self:
+    def of(cls, file: Path | None, **settings: Any) -> Self:
         """From a file, or without one from the settings of all axes.
 
         Raises:
             ConfigurationError: both are given, or one is wrong.
         """
-        given = {name: value for name, value in settings.items() if value is not None}
+        given = {
+            name: str(value) if isinstance(value, Path) else value
+            for name, value in settings.items()
+            if value is not None
+        }
         if file is None:
             return cls(Axis.of(AxisSettings(**given)))
         if given:
