@@ -105,8 +105,8 @@ def encoding_of(content: bytes) -> str:
     return "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
 
 
-def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
-    """Read a text in UTF-8 or marked UTF-16 of at most ``largest`` bytes.
+def read_text(path: str | Path) -> str:
+    """Read a text in UTF-8 or marked UTF-16 of at most :data:`LARGEST_FILE` bytes.
 
     Raises:
         ConfigurationError: the file is missing, unreadable, too large, or in another encoding.
@@ -114,9 +114,9 @@ def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
     if "\0" in str(path):
         raise ConfigurationError(f"{str(path)!r}: cannot be read: no path holds a zero byte")
     with at(f"{path}: cannot be read"), open(path, "rb") as file:
-        content = file.read(largest + 1)
-    if len(content) > largest:
-        raise ConfigurationError(f"{path}: is larger than {largest / 1e6:g} MB")
+        content = file.read(LARGEST_FILE + 1)
+    if len(content) > LARGEST_FILE:
+        raise ConfigurationError(f"{path}: is larger than {LARGEST_FILE / 1e6:g} MB")
     try:
         return content.decode(encoding_of(content))
     except UnicodeDecodeError:

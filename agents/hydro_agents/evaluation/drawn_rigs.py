@@ -50,7 +50,7 @@ def errors_of(run: Rollout, cases: Cases, stroke: float) -> dict[str, float]:
     }
 
 
-def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: int, plants: int = PLANTS) -> Columns:
+def on_rig(controller: Controller | None, what: str, drawn: TaskConfig, number: int, plants: int) -> Columns:
     """Errors of one rig (:func:`errors_of`), and mean and standard deviation of the returns of its episodes.
 
     ``controller`` is an agent that reads the observation of drawn rigs; ``None``: ``what`` is loaded for the rig's own
