@@ -145,7 +145,7 @@ def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mappin
     """The first seeds of a range as cases, all with the same leak (l/min at 100 bar) and the same faults."""
     levels = np.full(count, leakage_flow_lpm)
     every = {name: np.full(count, size) for name, size in (faults or {}).items()}
-    return Cases(np.array(seeds[:count], np.int64), levels, faults=every or None)
+    return Cases(np.array(seeds[:count], np.int64), levels, faults=every)
 
 
 def bound(config: TaskConfig, windows: KnownWindows, priors: Priors, threads: int | None = None) -> Floats:
@@ -175,11 +175,10 @@ def leak_bound(protocol: LeakProtocol) -> Iterator[Cell]:
         begin = 0.0 if condition.begins == "at rest" else condition.duration
         times = (begin, condition.duration - config.control_period)
         for level in protocol.levels_in(name):
-            if level >= 0.0:
-                cases = protocol.cases_in(name, level, protocol.bound_windows)
-                arguments = (config, protocol.known_task(name), condition.acting, *times, cases)
-                job = Job(bound_of_windows, None, arguments, digest="bound")
-                yield Cell("bound", "bound", name, {"condition": name, "level": level}, (job,))
+            cases = protocol.cases_in(name, level, protocol.bound_windows)
+            arguments = (config, protocol.known_task(name), condition.acting, *times, cases)
+            job = Job(bound_of_windows, None, arguments, digest="bound")
+            yield Cell("bound", "bound", name, {"condition": name, "level": level}, (job,))
 
 
 def bound_of_windows(
