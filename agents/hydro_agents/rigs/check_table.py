@@ -109,8 +109,8 @@ def _watched(figures: Mapping[str, RigFigure], damping: float | str) -> list[str
     return watch
 
 
-def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> dict[str, list[str]]:
-    """Fields that the content of a rig's file lacks, with their default values, by group."""
+def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[str]:
+    """Fields that the content of a rig's file lacks, with their default values, a line per group."""
     unset: dict[str, list[str]] = {}
     for path in PARAMETER_PATHS:
         group, field = path.split(".")
@@ -118,7 +118,7 @@ def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> dict[str,
             value = attrgetter(path)(parameters)
             text = f"{value:.4g}" if isinstance(value, float) else value
             unset.setdefault(group, []).append(f"{field} = {text}")
-    return unset
+    return [f"{group}: {', '.join(entries)}" for group, entries in unset.items()]
 
 
 def check_to_console(rig: Path | None, period: str | None, latency: str | None) -> tuple[Any, ...]:
@@ -146,10 +146,12 @@ def check_to_console(rig: Path | None, period: str | None, latency: str | None) 
     for line in (f"{name}: {summary}", *warnings):
         console.print(line, soft_wrap=True)
     console.print(facts)
-    if rig is not None:
+    unset = [] if rig is None else assumed(read_yaml(rig), given.plant)
+    if unset:
+        said.insert(-1, ("not in the file", f"of the paper's rig, in SI: {'; '.join(unset)}"))  # of the page
         console.print("Not in the file, taken from the paper's rig (SI units):")
-        for group, entries in assumed(read_yaml(rig), given.plant).items():
-            console.print(Padding(f"{group}: {', '.join(entries)}", (0, 0, 0, 2)))
+        for line in unset:
+            console.print(Padding(line, (0, 0, 0, 2)))
     cells = []
     for group, own in groupby(rows, attrgetter("group")):
         cells.append((group.upper(), "", "", ""))

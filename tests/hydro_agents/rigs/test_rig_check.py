@@ -116,8 +116,9 @@ def test_every_circuit_is_checked(changes):
 def test_the_command_prints_figures_and_warnings(tmp_path, few):
     (tmp_path / "odd.yaml").write_text("valve: {rated_flow: 0.02}")
     for rig in (ROOT / "configs" / "rigs" / "kovari_2015.yaml", tmp_path / "odd.yaml"):
-        result = hydro("check-rig", "--rig", rig)
+        result = hydro("check-rig", "--rig", rig, "--output", tmp_path / "page.html", "--overwrite")
         assert result.returncode == 0, result.stderr
+        assert ("stroke = 0.4" in (tmp_path / "page.html").read_text("utf-8")) == (rig.stem == "odd")
         assert rig.name in result.stdout
         assert "largest stable gain" in result.stdout
         warnings = [line for line in result.stdout.splitlines() if line.startswith("warning: ")]
