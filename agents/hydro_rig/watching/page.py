@@ -17,6 +17,7 @@ from hydro_rig.watching.trend import DAY, AxisTrend, Condition
 COLOURS = {Kind.HEALTHY: GREEN, Kind.LEAK: ORANGE, Kind.OTHER: GOLD, Kind.UNKNOWN: GREY}
 STYLES = {Condition.GOOD: "good", Condition.OUT: "worse", Condition.FAILURE: "worse", Condition.MAINTENANCE: "worse"}
 MOST_PANELS = 20  # axes with a figure; the others have a line
+MARGIN = 0.1  # days of the figure before the first reading and after the last
 SPARKS = 60  # readings in the small line of an axis
 
 
@@ -83,6 +84,8 @@ def draw_axis(axes: Axes, one: AxisTrend) -> None:
     if one.dated:
         ends = one.now / DAY + np.array([0.0, one.growth.ahead.value])
         axes.plot(ends, [one.growth.level.value, one.limit], color=BLUE, marker="")
+    axes.update_datalim([(days.min() - MARGIN, one.limit), (days.max() + MARGIN, one.limit)])
+    axes.autoscale(axis="x")
     axes.set_ylabel("leak, l/min")
     scale_of_leaks(axes)
     locator = AutoDateLocator(minticks=3, maxticks=6)  # type: ignore[no-untyped-call]

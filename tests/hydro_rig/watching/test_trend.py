@@ -13,12 +13,13 @@ from recorded import recorded_file
 from refusal import refused
 
 from hydro_agents.detection.detector import HALF_WIDTH
+from hydro_agents.report.kit import panel
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.diagnosis.oil import Oil
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.watching import watch as job
 from hydro_rig.watching.fleet import Axis, Fleet
-from hydro_rig.watching.page import trend_page
+from hydro_rig.watching.page import draw_axis, trend_page
 from hydro_rig.watching.table import COLUMNS, File, files_of, read_table, seconds, stamp, with_row
 from hydro_rig.watching.trend import State, trend_of
 from hydro_rig.watching.watch import Watched, row_of_file, watch
@@ -346,6 +347,14 @@ def test_a_leak_below_the_limit_needs_three_readings():
 def test_sizes_have_the_error_of_the_thermometer_in_common():
     level = trend(table_of(noisy(GROWING, 0.005))).growth.level
     assert np.log10(level.high / level.low) / (2.0 * HALF_WIDTH) > 0.02  # decades; 1.5 K alone are 0.024
+
+
+def test_a_single_reading_has_an_axis_of_hours():
+    for size in (3.4, np.nan):
+        axes = panel(height=2.6)
+        draw_axis(axes, trend(table_of([size])))
+        begin, end = axes.get_xlim()
+        assert begin < START / DAY < end < begin + 1.0
 
 
 def test_the_page_for_monday_is_read_on_a_phone_and_a_click_leads_to_the_axis(browser, tmp_path):
