@@ -224,7 +224,8 @@ class AxisWatch:
     def restore(self, kept: ByName) -> None:
         """Take over what :meth:`kept` gave for the same task, and say so."""
         if kept.get("task", self._task_digest) != self._task_digest:
-            print(f"hydro: axis '{self.name}' starts anew: the memory is that of another rig or task", file=sys.stderr)
+            what = "the memory is that of another rig or task; a second axis needs another --append, or a name (--tag)"
+            print(f"hydro: axis '{self.name}' starts anew: {what}", file=sys.stderr)
             return
         try:
             self.condition, self.since = Condition(kept["condition"]), float(kept["since"])

@@ -316,7 +316,7 @@ def test_the_memory_of_another_rig_is_not_taken_up(leaking, tmp_path, capsys):
     other = task_config(TASK, plant={"load": {"mass": 2.0 * TASK.plant.load.mass}})
     second = next(FleetWatch(Fleet(FLEET.usual._replace(task=other)), tmp_path / "watch.csv").looks(leaking))
     assert (second.condition, second.since) != (Condition.MAINTENANCE, first[-1].since)
-    assert "axis 'axis' starts anew" in capsys.readouterr().err
+    assert "a second axis needs another --append" in capsys.readouterr().err
 
 
 def test_a_kill_and_a_broken_pipe_leave_a_whole_table(leaking, tmp_path):
