@@ -52,10 +52,17 @@ def test_in_fmi_3_the_checker_has_no_complaint_and_the_motion_is_the_same(file, 
 
 def test_in_fmi_3_a_wrong_value_is_logged_in_one_line(newer):
     lines = []
-    wrong = {"start_values": {"rig.load.mass": -1.0}, "logger": lambda *said: lines.append(said[-1].decode())}
+    log = {"logger": lambda *said: lines.append(said[-1].decode())}
     with pytest.raises(Exception, match="fmi3SetFloat64"):
-        fmpy.simulate_fmu(str(newer), **wrong)
+        fmpy.simulate_fmu(str(newer), start_values={"rig.load.mass": -1.0}, **log)
     assert lines[0].startswith("rig.load.mass = -1 kg: must be a number within")
+    axis = fmpy.instantiate_fmu(fmpy.extract(str(newer)), fmpy.read_model_description(str(newer)), **log)
+    axis.enterInitializationMode(startTime=-1.0)
+    axis.exitInitializationMode()
+    assert axis.doStep(-1.0, PERIOD)[-1] == PERIOD - 1.0
+    with pytest.raises(Exception, match="fmi3DoStep"):
+        axis.doStep(-1.0, PERIOD)
+    assert lines[1:] == ["step from -1 s: must begin where the last one ended, at -0.995 s"]
 
 
 def run_fmu(file, **values):
@@ -162,6 +169,9 @@ def test_outputs_in_initialisation_mode_are_those_of_the_equilibrium(file):
     for sample in range(100):
         axis.fmu.doStep(sample * PERIOD, PERIOD)
     assert axis.get("position")[0] == pytest.approx(PLACE, abs=1e-7)
+    axis.fmu.doStep(100 * PERIOD + 1e-9, PERIOD)
+    for other in (0.2, 0.6):  # before the end of the last step, and after it
+        assert axis.refused(axis.fmu.doStep, other, PERIOD).startswith(f"step from {other:g} s")
 
 
 def test_a_model_is_an_item_of_an_enumeration(file, newer):
