@@ -48,20 +48,23 @@ class ProgressFile(KVWriter):
     """``progress.csv``: one row per update, written immediately; a resumed training continues the file.
 
     Rows after the ``steps`` of the checkpoint are dropped: that training was killed before its next checkpoint.
+
+    Raises:
+        ConfigurationError: the file cannot be written; told before the training.
     """
 
     def __init__(self, path: Path, steps: int = 0) -> None:
         self._path = path
         self._rows = read_progress(path, steps) if steps > 0 and path.exists() else []
+        self._write()
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        """Append a row.
-
-        Raises:
-            ConfigurationError: the file cannot be written.
-        """
+        """Append a row."""
         values = filter_excluded_keys(key_values, key_excluded, "csv")
         self._rows.append({STEPS: step, **{key: float(values[key]) for key in sorted(values) if key != STEPS}})
+        self._write()
+
+    def _write(self) -> None:
         table = pd.DataFrame(self._rows).convert_dtypes()  # whole numbers without a decimal point
         write_text(self._path, table.to_csv(index=False, lineterminator="\n"))
 

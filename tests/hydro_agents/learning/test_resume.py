@@ -70,6 +70,9 @@ def test_resume_needs_a_checkpoint_of_the_same_settings(tmp_path):
         train(tmp_path, resume=True)
     with refused("a folder with a checkpoint is needed"):
         train(None, resume=True)
+    (tmp_path / "log" / PROGRESS_FILE).mkdir(parents=True)
+    with refused("progress.csv: cannot be written"):
+        train(tmp_path / "log", progress=lambda _: pytest.fail("it was trained"))
     with pytest.raises(KeyboardInterrupt):
         train(tmp_path, progress=interrupt_at(256))
     other = SETTINGS.model_copy(update={"discount": 0.5})
