@@ -61,6 +61,9 @@ NEEDS = {
 }
 """Figures that need another one."""
 
+MOST = {"valve.overlap": 0.49, "load.tip_share": 0.98, "load.tip_damping_ratio": 0.98}
+"""Ends of ranges, just below the limits of the fields."""
+
 RANGES: dict[str, ByName] = {
     "cylinder.dead_volume": {"log_factor": (0.3, 3.0)},
     "valve.rated_flow": {"factor": (0.9, 1.1)},
@@ -295,9 +298,11 @@ def _ranges(figures: Figures, values: Mapping[str, ByName]) -> ByName:
     if "piston_mass" not in figures:
         unsure += 0.3 * _piston_mass(figures) / figures["mass"]
     ranges["load.mass"] = {"factor": (rounded(max(1 - unsure, 0.5)), rounded(1 + unsure))}
-    share = values["load"].get("tip_share", 0.0)
-    if share:
-        ranges["load.tip_share"] = {"factor": (0.6, rounded(min(1.4, 0.98 / share)))}
+    for path, most in MOST.items():
+        group, field = path.split(".")
+        [(form, (low, high))] = ranges[path].items()
+        own = max(values[group].get(field, 0.0), 0.1)
+        ranges[path] = {form: (low, rounded(min(high, most / own)))}
     overlapped, model = values["valve"]["overlap"] != 0.0, values["supply"]["model"]
     known = {
         "valve.slew_limit": "step_time" in figures,

@@ -133,6 +133,8 @@ def test_the_command_tells_a_flow_curve_that_the_rig_meets_poorly(tmp_path):
 def test_the_range_of_a_fitted_lap_is_an_allowed_one():
     _, rig = made(flow_curve="96%:1%, 99%:2%, 100%:100%")
     assert 0.0 < rig.plant.valve.overlap * rig.randomisation["valve.overlap"].factor[1] < 0.5
+    _, rig = made(overlap="45 %", structure_frequency="6 Hz", structure_damping="0.9")
+    assert rig.randomisation["valve.overlap"].factor == (0.8, 1.09)
 
 
 @pytest.mark.parametrize("signal", ["5 V", "40 mA", "10 V"])
