@@ -46,7 +46,9 @@ def c_compiler() -> str | None:
     return next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
 
 
-def compiled(sources: Mapping[str, str], options: Sequence[str], folder: Path | None = None) -> bytes:
+def compiled(
+    sources: Mapping[str, str], options: Sequence[str], compiler: Sequence[str] = (), folder: Path | None = None
+) -> bytes:
     """What a C compiler, by default that of this machine, makes of sources: texts by the names of their files.
 
     They and the result, a file ``out``, are written to a ``folder``, by default a temporary one.
@@ -56,17 +58,17 @@ def compiled(sources: Mapping[str, str], options: Sequence[str], folder: Path | 
     """
     if folder is None:
         with tempfile.TemporaryDirectory() as place:
-            return compiled(sources, options, Path(place))
+            return compiled(sources, options, compiler, Path(place))
     own = c_compiler()
-    if own is None:
+    if own is None and not compiler:
         raise HydroError("no C compiler found; install gcc or clang (the command is cc, gcc or clang)")
     for name, text in sources.items():
         (folder / name).write_text(text, encoding="utf-8")
     units = [name for name in sources if name.endswith(".c")]
-    command = [own, "-std=c99", "-O2", *options, "-o", "out", *units, "-lm"]
+    command = [*(compiler or [str(own)]), "-std=c99", "-O2", *options, "-o", "out", *units, "-lm"]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if result.returncode != 0:
-        raise HydroError(f"{own}: {(result.stderr.splitlines() or ['failed'])[0]}")
+        raise HydroError(f"{'ziglang' if compiler else own}: {(result.stderr.splitlines() or ['failed'])[0]}")
     return (folder / "out").read_bytes()
 
 
