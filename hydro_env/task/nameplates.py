@@ -61,8 +61,8 @@ NEEDS = {
 }
 """Figures that need another one."""
 
-MOST = {"valve.overlap": 0.49, "load.tip_share": 0.98, "load.tip_damping_ratio": 0.98}
-"""Ends of ranges, just below the limits of the fields."""
+RANGE_ENDS = {"valve.overlap": 0.49, "load.tip_share": 0.98, "load.tip_damping_ratio": 0.98}
+"""Largest ends of the ranges of these fields, just below the limits of the fields."""
 
 RANGES: dict[str, ByName] = {
     "cylinder.dead_volume": {"log_factor": (0.3, 3.0)},
@@ -298,10 +298,10 @@ def _ranges(figures: Figures, values: Mapping[str, ByName]) -> ByName:
     if "piston_mass" not in figures:
         unsure += 0.3 * _piston_mass(figures) / figures["mass"]
     ranges["load.mass"] = {"factor": (rounded(max(1 - unsure, 0.5)), rounded(1 + unsure))}
-    for path, most in MOST.items():
+    for path, most in RANGE_ENDS.items():
         group, field = path.split(".")
         [(form, (low, high))] = ranges[path].items()
-        own = max(values[group].get(field, 0.0), 0.1)
+        own = max(values[group].get(field, 0.0), 0.1)  # below that no factor reaches the end
         ranges[path] = {form: (low, rounded(min(high, most / own)))}
     overlapped, model = values["valve"]["overlap"] != 0.0, values["supply"]["model"]
     known = {

@@ -19,6 +19,10 @@ from hydro_env.types import ByName, Floats, Indices, Singles
 PREVIEW_PACES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # of the reference that a policy for any axis sees
 FINER_PACES = (0.25, 0.75)  # more of them for one that acts alone
 AVERAGING_TIMES = (20.0, 100.0, 500.0)  # of the slow averages that such a policy sees, steps of the rig
+AVERAGED = [  # columns of the signals: the error; opening, and then speed, each while it opens outwards and inwards
+    HISTORY_SIGNALS.index(name)
+    for name in ("tracking_error", "spool_position", "spool_position", "velocity_estimate", "velocity_estimate")
+]
 USUAL_ERROR = 0.03  # of untuned flow linearisation, as a part of the travel at full speed in a pace; on the paper's rig
 CORRECTION_RANGE = (0.1, 3.0)  # of the correction's size, relative to that at the usual error
 ERROR_PLANTS = 8  # plants of each family of references on which the error is simulated
@@ -64,7 +68,8 @@ class AnyAxisFeatures(PolicyFeatures):
         self.correction, self.error = correction, error
         self._paces = np.array(PREVIEW_PACES if base else sorted((*PREVIEW_PACES, *FINER_PACES)))
         if base is None:
-            self._blend = np.repeat(1.0 / (1.0 + periods * np.array(AVERAGING_TIMES)), 5).astype(np.float32)
+            rates = 1.0 / (1.0 + periods * np.array(AVERAGING_TIMES))
+            self._blend = np.repeat(rates, len(AVERAGED)).astype(np.float32)
         own, horizon = pace(config), self._preview.horizon
         ahead = np.minimum(self._paces * own / config.control_period, horizon)
         columns = np.arange(horizon + 2)[:, None] - 1.0  # −1: the sample before now
@@ -93,7 +98,7 @@ class AnyAxisFeatures(PolicyFeatures):
         changes = np.tile(signals, (len(self.lags), 1))
         changes[:, 0] = speed * self.config.control_period * np.array(self.lags) / scale[0]
         ahead = np.minimum(np.array([*self._paces, 1.0]) * own, reach) * speed / PREVIEW_SCALE
-        averages = np.tile(signals[[6, 4, 4, 1, 1]], len(AVERAGING_TIMES))
+        averages = np.tile(signals[AVERAGED], len(AVERAGING_TIMES))
         return np.concatenate([signals, ahead, averages, changes.ravel()])
 
     @property
@@ -108,15 +113,12 @@ class AnyAxisFeatures(PolicyFeatures):
     def _averaged(self, signals: Singles, correction: Singles) -> Singles:
         if self.base is not None:
             return correction
-        speed, opening, error = (signals[:, column, None] for column in (1, 4, 6))
+        error, opening, _, speed, _ = (signals[:, column, None] for column in AVERAGED)
         out = opening > 0.0
-        ways = [
-            np.maximum(opening, 0.0),
-            np.minimum(opening, 0.0),
-            np.where(out, speed, 0.0),
-            np.where(out, 0.0, speed),
-        ]
-        return np.tile(np.concatenate([error, *ways], axis=1, dtype=np.float32), len(AVERAGING_TIMES))
+        openings = [np.maximum(opening, 0.0), np.minimum(opening, 0.0)]
+        speeds = [np.where(out, speed, 0.0), np.where(out, 0.0, speed)]
+        both = np.concatenate([error, *openings, *speeds], axis=1, dtype=np.float32)
+        return np.tile(both, len(AVERAGING_TIMES))
 
     def _seen(self, inputs: Singles, signals: Singles, reference: Floats) -> list[Singles]:
         del inputs

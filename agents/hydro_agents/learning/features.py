@@ -173,24 +173,26 @@ class PolicyFeatures:
         inputs = observation[:, : len(self.layout.names)].astype(np.float32, copy=False)
         signals = inputs[:, self._columns]
         zero = np.zeros((len(signals), 1), dtype=np.float32)
+        begins = state is None
         if state is None:
             reference = self._preview.start(observation)
             ring = np.repeat(signals[:, None], self._oldest + 1, axis=1)
+            state = FeatureState(None, ring, zero, zero, reference)
             correction = zero
-            state = FeatureState(None, ring, zero, self._averaged(signals, correction), reference)
         else:
             correction = inputs[:, self._command_column, None] - state.base_command
             reference = self._preview.advanced(state.reference, observation)
         ring = np.concatenate([state.ring[:, 1:], signals[:, None]], axis=1)
-        averaged, lasting = self._averaged(signals, correction), state.lasting
-        if episode_start is not None and np.any(episode_start):
-            started = np.flatnonzero(episode_start)
+        restarts = None if episode_start is None or not np.any(episode_start) else episode_start[:, None]
+        if restarts is not None:
+            started = np.flatnonzero(restarts)
             ring[started] = signals[started, None]
-            correction = np.where(episode_start[:, None], zero, correction)
-            averaged = self._averaged(signals, correction)
-            lasting = np.where(episode_start[:, None], averaged, lasting)
+            correction = np.where(restarts, zero, correction)
             reference[started] = self._preview.start(observation[started])
-        lasting = lasting + self._blend * (averaged - lasting)
+        averaged = self._averaged(signals, correction)
+        lasting = averaged if begins else state.lasting + self._blend * (averaged - state.lasting)
+        if restarts is not None:
+            lasting = np.where(restarts, averaged, lasting)
         past = ring[:, self._past].reshape(len(signals), -1)
         changes = np.tile(signals, len(self.lags)) - past
         state = state._replace(ring=ring, reference=reference)
