@@ -4,7 +4,6 @@ Source: Ross, Gordon & Bagnell, *A reduction of imitation learning and structure
 learning*, AISTATS 2011 (DAgger, here with the newest states alone). The critic learns the policy's own returns.
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,19 @@ import torch
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
-from torch.nn.functional import mse_loss
+from torch.nn.functional import mse_loss, smooth_l1_loss
 
 ACTOR = ("lstm_actor", "mlp_extractor.policy_net", "action_net")  # of the networks of stable-baselines3
-FLOOR = 0.01  # of full command; smaller commands of the teacher are missed by parts of this, larger ones by their own
-WORST = 25.0  # largest squared miss that counts
+FLOOR = 0.01  # of full command
+
+
+def misses(commands: torch.Tensor, lessons: torch.Tensor) -> torch.Tensor:
+    """How far commands are from the teacher's, as fractions of full command, (N,).
+
+    Both are compared as arcsinh(u / :data:`FLOOR`): a miss of a small command counts by its size, of a large one by its
+    ratio, and a start that comes too early as much as one that comes too late.
+    """
+    return smooth_l1_loss(torch.asinh(commands / FLOOR), torch.asinh(lessons / FLOOR), reduction="none").flatten()
 
 
 class _Imitating:
@@ -39,36 +46,34 @@ class _Imitating:
             return
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        self.rollout_buffer.actions[:] = self.lessons  # the density at the lessons tells how far the policy misses them
+        self.rollout_buffer.actions[:] = self.lessons
         recurrent = isinstance(self, RecurrentPPO)
         actor: list[torch.nn.Parameter] = []
         critic: list[torch.nn.Parameter] = []
-        misses = []
+        missed = []
         for name, weights in self.policy.named_parameters():
             (actor if name.startswith(ACTOR) else critic).append(weights)
         for _ in range(self.n_epochs):
             for batch in self.rollout_buffer.get(self.batch_size):
-                value = None
-                if recurrent or self.imitated_steps < self._total_timesteps:
-                    memory = (batch.lstm_states, batch.episode_starts) if recurrent else ()
-                    value, density, _ = self.policy.evaluate_actions(batch.observations, batch.actions, *memory)
-                else:  # no critic is needed afterwards
-                    density = self.policy.get_distribution(batch.observations).log_prob(batch.actions)
-                spread = self.policy.log_std.exp()
-                squared = -2.0 * spread**2 * (density + (spread * math.sqrt(2.0 * math.pi)).log())
-                relative = (squared / (FLOOR + batch.actions.flatten().abs()) ** 2).clamp(max=WORST)
-                real = batch.mask > 0.5 if recurrent else torch.ones_like(squared, dtype=torch.bool)
-                loss = relative[real].mean()
-                if value is not None:
+                actor_memory, critic_memory = (), ()
+                if recurrent:
+                    actor_memory, critic_memory = ((part, batch.episode_starts) for part in batch.lstm_states)
+                distribution = self.policy.get_distribution(batch.observations, *actor_memory)
+                commands = (distribution[0] if recurrent else distribution).mode()
+                miss = misses(commands, batch.actions)
+                real = batch.mask > 0.5 if recurrent else torch.ones_like(miss, dtype=torch.bool)
+                loss = miss[real].mean()
+                missed.append(loss.item())
+                if self.imitated_steps < self._total_timesteps:  # else no critic is needed afterwards
+                    value = self.policy.predict_values(batch.observations, *critic_memory)
                     loss = loss + self.vf_coef * mse_loss(value.flatten()[real], batch.returns[real])
                 self.policy.optimizer.zero_grad()
                 loss.backward()
                 for part in actor, critic:  # together, the errors of a young critic would leave the actor nothing
                     torch.nn.utils.clip_grad_norm_(part, self.max_grad_norm)
                 self.policy.optimizer.step()
-                misses.append(relative[real].mean().item())
         self._n_updates += self.n_epochs
-        self.logger.record("train/miss_of_teacher", np.mean(misses))
+        self.logger.record("train/miss_of_teacher", np.mean(missed))
 
 
 class ImitatingPPO(_Imitating, PPO):

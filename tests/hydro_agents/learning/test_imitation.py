@@ -3,8 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 from refusal import refused
 
+from hydro_agents.learning.imitation import misses
 from hydro_agents.learning.loading import shipped
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_policy
@@ -32,6 +34,12 @@ def test_a_student_follows_better_the_longer_it_imitates(memory, tmp_path):
     errors = [np.abs(run.position - run.reference).mean() for run in runs]
     still = np.abs(runs[0].reference - runs[0].reference[:, :1]).mean()
     assert errors[0] < 0.5 * still  # of an axis that does not move
+
+
+def test_a_start_that_comes_too_early_costs_as_much_as_one_that_comes_too_late():
+    still, moving = torch.tensor([[0.0], [0.001]]), torch.tensor([[0.5], [-0.8]])
+    assert misses(still, moving).tolist() == misses(moving, still).tolist()
+    assert (misses(still, moving) < 10.0).all()
 
 
 def test_what_a_teacher_needs_is_said():
