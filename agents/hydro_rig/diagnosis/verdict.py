@@ -240,7 +240,7 @@ def named_fault(reading: Reading) -> str:
     """The fault other than the piston seal in most windows with an answer; empty if there is none."""
     answers = reading.answers
     named = Counter(fault for fault, answered in zip(reading.fault, answers, strict=True) if answered and fault)
-    return named.most_common(1)[0][0] if named and named.total() >= MOST * answers.sum() else ""
+    return named.most_common(1)[0][0] if named and named.total() > MOST * answers.sum() else ""
 
 
 def combined(reading: Reading) -> tuple[Leak, str]:
