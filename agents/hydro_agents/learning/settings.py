@@ -41,7 +41,10 @@ class PPOSettings(Group):
         None, ge=1, description="of the law that train at the same time; each gives way to the next one; null: all"
     )
     start: str | None = Field(None, description="path of weights of the same inputs and layers to begin with")
-    teacher: str | None = Field(None, description="shipped controller that a policy without residual imitates first")
+    teacher: str | None = Field(
+        None,
+        description="shipped controller that a policy without residual imitates first; of a law with gains for any rig",
+    )
     imitated_share: float = Field(0.5, gt=0.0, le=1.0, description="part of the training in which it imitates")
     imitation_rate: float = Field(1e-3, gt=0.0, le=1.0, description="learning rate then; falls to a hundredth")
     critic_first: float = Field(0.0, ge=0.0, lt=1.0, description="part in which the critic alone learns, after a start")

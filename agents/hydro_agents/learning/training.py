@@ -22,12 +22,14 @@ from hydro_agents.learning.imitation import ImitatingPPO, ImitatingRecurrentPPO
 from hydro_agents.learning.loading import shipped
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import Progress, TrainingCallback, training_logger
+from hydro_agents.learning.rig_gains import gain_sets
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.errors import at
+from hydro_env.files import Group
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.paces import periods_per_step
 
@@ -67,7 +69,7 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
             "observations as they are in the task, because the policy must work there"
         )
     with at("teacher"):
-        teacher = shipped(settings.teacher, config) if settings.teacher else None
+        teacher = shipped(settings.teacher, config, untuned_gains) if settings.teacher else None
     leader = teacher or features.base
     if settings.family_units and leader is not None:
         measured: Any = leader
@@ -87,6 +89,11 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
         reversal_price=settings.reversal_price,
         teacher=teacher,
     )
+
+
+def untuned_gains(kind: str, config: TaskConfig) -> Group:
+    """Gains for any rig: a teacher on a thousand drawn rigs has no time for a choice."""
+    return gain_sets(kind, config)[0]
 
 
 def make_axes(

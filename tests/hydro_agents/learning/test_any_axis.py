@@ -76,7 +76,7 @@ def policy(tmp_path_factory):
 
 
 def test_a_network_with_nothing_underneath_is_taught_on_drawn_rigs_and_moves_to_another(tmp_path):
-    more = {"residual": False, "teacher": "flow_linearising", "imitated_share": 1.0, "family_units": False}
+    more = {"residual": False, "teacher": "ppo", "imitated_share": 1.0, "family_units": False}
     settings = validate(PPOSettings, SETTINGS.model_dump(mode="json") | more | {"total_steps": 1920}, "test")
     trained = train_policy(TASK, settings, seed=1, folder=tmp_path)
     miss = pd.read_csv(tmp_path / "progress.csv")["train/miss_of_teacher"]
