@@ -21,7 +21,8 @@ COMMENT = re.compile(r"\(\*.*?\*\)", re.DOTALL)
 DECLARED = re.compile(r"^ +([\w, ]+) : (?:ARRAY\[0\.\.(\d+)\] OF )?(\w+)(?: := ([^;]*))?;", re.MULTILINE)
 STATEMENT = re.compile(
     r"\s*(?:FOR (?P<counter>\w+) := (?P<first>\d+) TO (?P<last>\d+) DO\b"
-    r"|IF (?P<condition>[^;]+?) THEN\b|ELSIF (?P<next>[^;]+?) THEN\b|(?P<otherwise>ELSE)\b|(?P<end>END_FOR;|END_IF;)"
+    r"|WHILE (?P<loop>[^;]+?) DO\b|(?P<jump>EXIT|RETURN);|(?P<end>END_(?:FOR|IF|WHILE);)"
+    r"|IF (?P<condition>[^;]+?) THEN\b|ELSIF (?P<next>[^;]+?) THEN\b|(?P<otherwise>ELSE)\b"
     r"|(?P<target>[^;:]+) := (?P<value>[^;]+);)"
 )
 
@@ -32,7 +33,7 @@ def real(value):
 
 def divided(a, b):
     if isinstance(a, int) and isinstance(b, int):
-        raise TypeError("a division of integers")
+        return a // b
     return a / b if b != 0.0 else math.nan if a == 0.0 or a != a else math.copysign(math.inf, a) * math.copysign(1.0, b)
 
 
@@ -49,6 +50,7 @@ FUNCTIONS: dict[str, Any] = {
     "SQRT": lambda x: math.sqrt(x) if x >= 0.0 else math.nan,
     "EXP": math.exp,
     "LN": math.log,
+    "LOG": math.log10,
     "EXPT": pow,
     "LIMIT": lambda low, x, high: max(low, min(x, high)),
     "SEL": lambda chosen, no, yes: yes if chosen else no,
@@ -57,6 +59,7 @@ FUNCTIONS: dict[str, Any] = {
     "DINT_TO_LREAL": float,
     "LREAL_TO_DINT": round,
     "BOOL_TO_LREAL": float,
+    "BOOL_TO_DINT": int,
     "DINT_TO_REAL": real,
     "BOOL_TO_REAL": real,
     "REAL_TO_DINT": round,
@@ -116,7 +119,7 @@ class FunctionBlock:
         self.kinds: dict[str, str] = {}
         space = dict(FUNCTIONS)
         for function in functions:
-            space |= self._function(function)
+            space |= self._function(function, space)
         self.memory = self._declared(declarations)
         self._step = self._translated(body, space)
 
@@ -131,17 +134,17 @@ class FunctionBlock:
                     memory[name] = self._initial(name, kind, int(last) + 1 if last else 0, value)
         return memory
 
-    def _function(self, text):
+    def _function(self, text, space):
         """A function of arrays that it changes, by its name."""
         name = text.partition(" ")[0]
         declarations, _, body = text.rpartition("END_VAR")
         changed = DECLARED.search(declarations)[1].split(", ")
         self.kinds[name.lower()] = "BOOL"
         memory = self._declared(declarations)
-        step = self._translated(body, dict(FUNCTIONS))
+        step = self._translated(body, dict(space))
 
         def called(*arrays):
-            v = {**memory, **dict(zip(changed, arrays, strict=True))}
+            v = {**memory, "stops": self.stops, **dict(zip(changed, arrays, strict=True))}
             step(v)
             return v[name.lower()]
 
@@ -185,6 +188,10 @@ class FunctionBlock:
                 line = f"elif {to_python(found['next'])}:" if found["next"] else "else:"
             elif found["condition"]:
                 line = f"if {to_python(found['condition'])}:"
+            elif found["loop"]:
+                line = f"while {to_python(found['loop'])}:"
+            elif found["jump"]:
+                line = {"EXIT": "break", "RETURN": "return"}[found["jump"]]
             elif found["counter"]:
                 line = f"for v[{found['counter'].lower()!r}] in range({found['first']}, {found['last']} + 1):"
             else:

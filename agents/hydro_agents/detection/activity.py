@@ -9,7 +9,7 @@ from hydro_agents.detection.detector import SIGNALS
 from hydro_env.types import Array
 
 STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3  # m/s; below the first the axis stands, from the second on it moves
-_SPAN = 0.1  # averaging time in s of the position before its travel is computed, which removes the noise
+SPAN = 0.1  # averaging time in s of the position before its travel is computed, which removes the noise
 
 
 class Activity(IntEnum):
@@ -23,7 +23,7 @@ class Activity(IntEnum):
 def activity_of(signals: Array, control_period: float) -> NDArray[np.int8]:
     """:class:`Activity` (N,) during windows of signals (N, 5, T) in SI units; lost samples are left out."""
     position = np.asarray(signals[:, SIGNALS.index("position")], float)
-    count = max(round(_SPAN / control_period), 1)
+    count = max(round(SPAN / control_period), 1)
     blocks = position[:, : position.shape[1] // count * count].reshape(len(position), -1, count)
     present = np.isfinite(blocks)
     means = np.where(present, blocks, 0.0).sum(axis=2) / np.maximum(present.sum(axis=2), 1)

@@ -392,6 +392,7 @@ def _build(sources: int) -> Any:
         smooth, valve = np.empty(samples), np.empty(3)
         theta, normal, right = np.empty(COUNT), np.empty((COUNT, COUNT)), np.empty(COUNT)
         best_normal, best_right = np.empty((COUNT, COUNT)), np.empty(COUNT)
+        damping, least = np.empty(1), np.empty(1)  # arrays, because the export spreads the fit over calls
         travel, slope, filtered = np.empty(2), np.empty((2, COUNT)), np.empty((2, COUNT + 1))
         variance, whitened, before = np.empty(2), np.empty(COUNT + 1), np.empty(2)
         course = _Course(travel, slope, filtered, variance, whitened, before)
@@ -407,22 +408,22 @@ def _build(sources: int) -> Any:
             spool_between(reading, command, answer, sheet.spool_noise, valve, spool, error, smooth)
             window_signals = _Signals(x, p_a, p_b, reading, spool)
             theta[:] = sheet.mean
-            damping, least = FIRST_DAMPING, math.inf
+            damping[0], least[0] = FIRST_DAMPING, math.inf
             for _ in range(ITERATIONS):
                 _follow(window_signals, sheet, c, theta, course, sums)
                 cost = _weigh(sums, sheet, theta, samples - 1, normal, right)
-                if cost < least:
-                    gained, least = least - cost, cost
-                    damping *= 0.2
+                if cost < least[0]:
+                    gained, least[0] = least[0] - cost, cost
+                    damping[0] *= 0.2
                     best_normal[:] = normal
                     best_right[:] = right
                     _keep(window, theta, sums, sheet.spread, balance)
                     if gained < ENOUGH:
                         break
                 else:
-                    damping *= 10.0
+                    damping[0] *= 10.0
                 best = balance.estimate[window]
-                _move(best, best_normal, best_right, damping, sheet.spread, normal, right, theta)
+                _move(best, best_normal, best_right, damping[0], sheet.spread, normal, right, theta)
             _tell_deviations(best_normal, right, sheet.spread, balance.deviation[window])
 
     return compiled(fit)

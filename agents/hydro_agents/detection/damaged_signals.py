@@ -43,7 +43,7 @@ def mark_lost(values, low, high, far, lost):
         if not (k < samples and values[min(k, samples - 1)] <= end):
             if k - begin <= LONGEST_GAP:
                 for gap in range(begin, k):
-                    fallen = values[max(gap - 1, 0)] > low + far * (high - low)
+                    fallen = lost[max(gap - 1, 0)] == 0.0 and values[max(gap - 1, 0)] > low + far * (high - low)
                     if gap > begin or fallen or (begin == 0 and values[samples - 1] <= end):
                         lost[gap] = 1.0
             begin = k + 1

@@ -290,15 +290,16 @@ def _motion_of(signals, error, estimate, deviation, c, supply, period, work):
 @inline
 def _write_parts(values, first, part, deviation, change):
     """Write the features of the unknowns of each part alone, (TRACED, PARTS), from place ``first`` on."""
+    place = first
     for one in range(TRACED):
         mean_square = changes(part[one], deviation[one], change)
         for now in range(PARTS):
-            values[first + now] = math.asinh(change[now])
-        values[first + PARTS] = logarithm(mean_square, 1e-2)
-        first += PARTS + 1
+            values[place + now] = math.asinh(change[now])
+        values[place + PARTS] = logarithm(mean_square, 1e-2)
+        place += PARTS + 1
     for now in range(LAST_PARTS):
-        values[first + now] = math.asinh(part[0, PARTS - LAST_PARTS + now] / 0.1)
-    values[first + LAST_PARTS] = logarithm(deviation[0, PARTS - 1], 1e-4)
+        values[place + now] = math.asinh(part[0, PARTS - LAST_PARTS + now] / 0.1)
+    values[place + LAST_PARTS] = logarithm(deviation[0, PARTS - 1], 1e-4)
 
 
 @inline

@@ -80,9 +80,9 @@ def export(
     and C are compared with the controller in Python. It needs `pip install 'hydro_env[export]'`. A rig that nobody
     tuned: `hydro export flow_linearising --rig my.yaml --period 2ms`.
 
-    `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to the
-    probability and size of a leak; with `--rig` and `--period` on your rig, without training.
-    `hydro export study/leakage_head` does so for your own.
+    `hydro export leakage_head` writes such a folder for the shipped leakage head, C99 and Structured Text from measured
+    signals to the probability and size of a leak, with the alarm; with `--rig` and `--period` on your rig, without
+    training. `hydro export study/leakage_head` does so for your own.
     """
     from hydro_agents.detection.head import KIND
     from hydro_agents.running.folders import output_folder, refuse_taken
@@ -139,6 +139,9 @@ def _head(what: str, request: _Request) -> Job:
     from hydro_agents.detection.head import LeakageHead
     from hydro_agents.running.folders import shipped_weights
     from hydro_agents.running.tasks import timed_task
+    from hydro_rig.export.onnx_writer import package
+
+    package("pycparser")
     from hydro_rig.export.leakage_head import FILES, exported_head
 
     config = timed_task(*request, f"export {what}")

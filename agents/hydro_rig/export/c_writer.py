@@ -200,7 +200,7 @@ class Writer:
         kinds = {"to": self.language.types[node.kind], "of": self.language.types[node.operands[-1].kind]}
         suffix = "f" if node.operands[-1].kind == np.float32 else ""
         template = self.language.operations[node.operation]
-        return template.format(*map(_beside, texts), **dict(zip("abc", texts, strict=False)), **kinds, f=suffix)
+        return template.format(*map(beside, texts), **dict(zip("abc", texts, strict=False)), **kinds, f=suffix)
 
     def _defined(self, node: Node, name: str, text: str) -> list[str]:
         """Statements that define a variable, or each element of an array."""
@@ -233,10 +233,10 @@ class Writer:
         """Sums over ``i``; the innermost loop runs over the columns, so that their sums do not wait for each other."""
         k, i, j = digits = tuple(zip("kij", node.sizes, strict=True))
         if node.operation == "sum":
-            term = _beside(self.element(node.operands[0], _mixed(digits)))
+            term = beside(self.element(node.operands[0], _mixed(digits)))
         else:
             left, right = node.operands
-            term = f"{_beside(self.element(left, _mixed((k, i))))} * {_beside(self.element(right, _mixed((i, j))))}"
+            term = f"{beside(self.element(left, _mixed((k, i))))} * {beside(self.element(right, _mixed((i, j))))}"
         into = name if node.size == 1 else f"{name}[{_mixed((k, j))}]"
         statement = self.language.assign.format(into, f"{into} + {term}")
         for index, count in reversed(digits):
@@ -264,7 +264,7 @@ def declaration(language: Language, name: str, size: int, kind: Kind) -> str:
     return text.format(language.types[kind], name, size, size - 1)
 
 
-def _beside(text: str) -> str:
+def beside(text: str) -> str:
     """A text beside an operator: in brackets if it holds one itself."""
     depth = 0
     for letter in text:
@@ -280,7 +280,7 @@ def _place(start: int, step: int, index: int | str) -> int | str:
         return start + step * index
     if step == 0:
         return start
-    text = index if step == 1 else f"{step} * {_beside(index)}"
+    text = index if step == 1 else f"{step} * {beside(index)}"
     return text if start == 0 else f"{start} + {text}"
 
 
@@ -289,5 +289,5 @@ def _mixed(digits: Sequence[tuple[str, int]]) -> int | str:
     text = ""
     for index, count in digits:
         if count > 1:
-            text = f"{_beside(text)} * {count} + {index}" if text else index
+            text = f"{beside(text)} * {count} + {index}" if text else index
     return text or 0

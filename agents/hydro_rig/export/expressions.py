@@ -222,7 +222,7 @@ class Expressions:
         if callee is math.sqrt and kinds == [FLOAT]:
             return f"sqrtf({texts[0]})", FLOAT
         if callee is math.isfinite:
-            return f"(isfinite({texts[0]}) != 0)", BOOL
+            return f"isfinite({texts[0]})", BOOL
         if callee in _FUNCTIONS:
             return f"{_FUNCTIONS[callee]}({', '.join(texts)})", DOUBLE
         if callee in (min, max) and len(texts) >= 2:

@@ -22,11 +22,11 @@ _OPERATORS = {
 
 
 def package(name: str) -> Any:
-    """The package onnx or onnxruntime; ConfigurationError: it is not installed."""
+    """A package of the extra 'export'; ConfigurationError: it is not installed."""
     try:
         return import_module(name)
     except ImportError:
-        raise ConfigurationError(f"ONNX needs the package {name}: pip install 'hydro_env[export]'") from None
+        raise ConfigurationError(f"the export needs the package {name}: pip install 'hydro_env[export]'") from None
 
 
 def onnx_session(model: bytes) -> Any:

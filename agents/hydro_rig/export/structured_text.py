@@ -54,7 +54,7 @@ def literal(value: Any) -> str:
     if np.isnan(value):
         raise TraceError("Structured Text has no constant that is not a number: cannot be exported")
     largest = float(np.finfo(np.float32).max)
-    plain = str(np.clip(value, -largest, largest) if np.isinf(value) else value)
+    plain = str(np.clip(value, -largest, largest))
     mantissa, mark, exponent = plain.partition("e")
     text = mantissa if "." in mantissa else f"{mantissa}.0"
     if mark:
@@ -87,7 +87,7 @@ class TextWriter(Writer):
 
     def __init__(self, graph: Graph, taken: Sequence[str], name: str) -> None:
         super().__init__(graph, {}, LANGUAGE, taken)
-        self.functions: list[ByName] = []
+        self.functions: list[str] = []
         self.longest = 0  # vector of the products
         self._name = name  # of the function block
         self._calls: dict[Node, list[str]] = {}  # of the functions of each matrix
@@ -121,7 +121,8 @@ class TextWriter(Writer):
             name = f"{self._name}Product{len(self.functions) + 1}"
             table = self.table("weights", matrix.kind, groups.ravel())
             place = {"first": first, "groups": len(groups), "abreast": abreast, "rows": rows}
-            self.functions.append({"name": name, "weights": table, **place})
+            values = {"name": name, "prefix": self._name, "weights": table, **place}
+            self.functions.append(render("product.st.j2", values))
             calls.append(f"done := {name}(factors, totals);")
         return calls
 
@@ -161,12 +162,16 @@ def call_example(controller: ControllerGraph, name: str) -> str:
 
 
 def _rendered(template: str, controller: ControllerGraph, name: str, values: ByName) -> str:
-    """A template with its values, for editors of old."""
+    """A template with its values."""
     own = {"st_name": st_name, "literal": literal, "real": LANGUAGE.types[controller.real]}
     values = {**facts_of(controller, name), **own, **values}
-    text = render(f"{template}.st.j2", values)
-    for letter, plain in ASCII.items():
-        text = text.replace(letter, plain)
+    return plain(render(f"{template}.st.j2", values))
+
+
+def plain(text: str) -> str:
+    """A text for editors of old: no letter beyond ASCII, no space at the end of a line."""
+    for letter, other in ASCII.items():
+        text = text.replace(letter, other)
     return re.sub(r"[ \t]+\n", "\n", text) + "\n"
 
 

@@ -133,7 +133,12 @@ class _Body(Expressions):
         if any(kind != INT for _, kind in typed):
             raise self.failure(node.iter)
         first, last = typed[0][0] if len(typed) == 2 else "0", typed[-1][0]
-        name = self._local("turn" if ast.unparse(node.target) == "_" else ast.unparse(node.target), INT)
+        target = ast.unparse(node.target)
+        if typed == [("1", INT)] and len(indent) == 4:  # one window; a break would not compile
+            self.module[target] = 0
+            self._block(node.body, indent)
+            return
+        name = self._local("turn" if target == "_" else target, INT)
         self._line(indent, f"for ({name} = {first}; {name} < {last}; ++{name}) {{")
         self._block(node.body, indent + "    ")
         self._line(indent, "}")
