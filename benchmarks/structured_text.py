@@ -1,7 +1,8 @@
-"""Structured Text of exported controllers through MATIEC and STruC++: vectors, time and memory beside the C code.
+"""Structured Text of exported blocks through MATIEC and STruC++: vectors, time and memory beside the C code.
 
     hydro export ppo --output ppo
-    python benchmarks/structured_text.py ppo --matiec ../matiec --strucpp ../STruCpp
+    hydro export leakage_head --output head
+    python benchmarks/structured_text.py ppo head --matiec ../matiec --strucpp ../STruCpp
 
 The options name checkouts with a built compiler (github.com/beremiz/matiec, github.com/Autonomy-Logic/STruCpp);
 default: those of iec2c and strucpp on the PATH; one that is not found is left out. All programs do the same.
@@ -20,32 +21,7 @@ from pathlib import Path
 from hydro_rig.export.structured_text import st_name
 
 FLAGS = ("-O2", "-ffp-contract=off", "-w")
-MAIN = """#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <time.h>
-%(before)s
-static double v[%(samples)d][%(columns)d]; static %(type)s block;
-static void call(const double *v) { if (v[0]) { %(reset)s; } %(inputs)s %(step)s; }
-int main(void)
-{
-    double largest = 0.0, best = HUGE_VAL, wrong = 0.0;
-    for (int n = 0; n < %(samples)d; ++n)
-        for (int i = 0; i < %(columns)d; ++i) { char text[64]; scanf("%%63s", text); v[n][i] = strtod(text, NULL); }
-    for (int n = 0; n < %(samples)d; ++n) {
-        call(v[n]);
-        const double apart = fabs((double)%(command)s - v[n][%(columns)d - 3 + 0]);
-        if (!(apart <= largest)) largest = apart > largest ? apart : HUGE_VAL;
-        wrong += (double)%(state)s != v[n][%(columns)d - 3 + 1] || (double)%(fault_code)s != v[n][%(columns)d - 3 + 2];
-    }
-    for (int round = 0; round < 7; ++round) {
-        const clock_t begun = clock();
-        for (int k = 0; k < 20; ++k) for (int n = 0; n < %(samples)d; ++n) call(v[n]);
-        best = fmin(best, (double)(clock() - begun) / CLOCKS_PER_SEC / 20 / %(samples)d);
-    }
-    printf("%%.3g %%g %%.4g %%d\\n", largest, wrong, 1e6 * best, (int)sizeof block);
-}
-"""
+MAIN = Path(__file__).with_suffix(".c").read_text()
 
 
 def ran(command: Sequence[object], folder: Path, given: str = "") -> str:
@@ -57,20 +33,28 @@ def ran(command: Sequence[object], folder: Path, given: str = "") -> str:
 
 
 def measured(block: Path, work: Path, words: dict[str, str], field: str, compiler: Sequence[object]) -> list[float]:
-    """Largest difference in V, samples with another state, µs per call, bytes of an instance.
+    """Largest difference (V, l/min, or of a state), mean and longest µs per call, bytes of an instance.
 
     ``words``: of :data:`MAIN`; ``field``: text of an input or output; {0}: name in C, {1}: in the text, {2}: a gain.
     """
     names, *samples = csv.reader(block.with_name("vectors.csv").open())
+    head, in_c = "probability" in names, "{0}" in field
+    first = names.index("probability") if head else len(names) - 3  # output
 
     def text(name: str) -> str:
         outer, _, inner = name.partition(".")
         return field.format(name, st_name(outer).upper(), f".{inner.upper()}" if inner else "")
 
-    size: dict[str, object] = {"samples": len(samples), "columns": len(names)}
-    size["inputs"] = " ".join(f"{text(name)} = v[{place}];" for place, name in enumerate(names[:-3]) if place)
+    values: dict[str, object] = {"samples": len(samples), "columns": len(names), "first": first}
+    inputs = {name: f"v[{place}]" for place, name in enumerate(names[:first]) if place and not (head and in_c)}
+    if head and not in_c:
+        inputs |= {"enable": "1"} | {f"valid_{name}": f"{value} == {value}" for name, value in inputs.items()}
+    values["inputs"] = " ".join(f"{text(name)} = {value};" for name, value in inputs.items())
+    values["outputs"] = ", ".join(f"(double){text(name)}" for name in names[first:])
+    answered = f"row == n && v[n][{first}] == v[n][{first}]" if in_c else text("fresh")
+    values["due"], values["fresh"] = (f"n && v[n][{first}] != v[n - 1][{first}]", answered) if head else ("1", "1")
     main = "main.cpp" if str(compiler[0]) == "g++" else "main.c"
-    (work / main).write_text(MAIN % {**size, **words, **{name: text(name) for name in names[-3:]}})
+    (work / main).write_text(MAIN % {**values, **words})
     ran([*compiler, *FLAGS, main, "-o", "main", "-lm"], work)
     return [float(one) for one in ran(["./main"], work, "\n".join(" ".join(one) for one in samples)).split()]
 
@@ -83,7 +67,11 @@ def compared(block: Path, matiec: Path | None, strucpp: Path | None) -> None:
         work = Path(place)
         include = f'#include "{block.with_suffix(".c").absolute()}"'
         words = {"before": include, "type": name, "reset": f"{code}_reset(&block)", "step": f"{code}_step(&block)"}
-        lines["C"] = measured(block, work, words, "block.{0}", ["gcc", "-std=c99"])
+        field = "block.{0}"
+        if name == "LeakageHead":
+            words |= {"reset": "leakage_head_start(&block)", "step": "leakage_head_update(&block, v + 1)"}
+            field = "block.estimate.{0}"
+        lines["C"] = measured(block, work, words, field, ["gcc", "-std=gnu99"])
         if matiec:
             ran([matiec / "iec2c", "-I", matiec / "lib", "-T", work, block.absolute()], work)
             words = {"before": '#include "POUS.h"\n#include "POUS.c"', "type": upper}
@@ -95,9 +83,10 @@ def compared(block: Path, matiec: Path | None, strucpp: Path | None) -> None:
             words |= {"reset": f"block = strucpp::{upper}()", "step": "block()"}
             compiler = ["g++", "-std=c++17", "-I", strucpp / "src/runtime/include"]
             lines["STruC++"] = measured(block, work, words, "block.{1}{2}", compiler)
-    for who, (apart, wrong, time, size) in lines.items():
-        of_c = time / lines["C"][2]
-        print(f"{block.parent.name} | {who} | {apart:.2g} | {wrong:.0f} | {time:.3g} | {of_c:.1f} | {size:.0f}")
+    for who, (apart, mean, longest, size) in lines.items():
+        of_c, longest_of_c = mean / lines["C"][1], longest / lines["C"][2]
+        row = (f"{apart:.2g}", f"{mean:.3g}", f"{of_c:.1f}", f"{longest:.3g}", f"{longest_of_c:.2g}", f"{size:.0f}")
+        print(" | ".join((block.parent.name, who, *row)))
 
 
 def main() -> None:
@@ -108,7 +97,7 @@ def main() -> None:
         found = shutil.which(command)
         parser.add_argument(option, type=Path, default=Path(found).resolve().parents[depth] if found else None)
     given = parser.parse_args()
-    print("folder | compiler | V | other states | µs per call | of C | bytes of an instance")
+    print("folder | compiler | largest difference | µs per call | of C | longest call | of C | bytes of an instance")
     for folder in given.folders:
         block = next(file for file in folder.glob("*.st") if not file.stem.endswith("_call"))
         compared(block, *(place and place.absolute() for place in (given.matiec, given.strucpp)))

@@ -50,7 +50,7 @@ class TextFunctions:
         self.kinds: dict[str, str] = {}
         self.constants: dict[str, tuple[str, str]] = {}
         self.tables: dict[str, list[str]] = {}
-        self._used, self._fixed, self._scope = {*RESERVED, "work"}, set[str](), ByName()
+        self._fixed, self._scope = set[str](), ByName()
         self._known = {name: self._declared(name, value) for name, value in known.items()}
         whole = (TEMPLATES / "text_helpers.c").read_text(encoding="utf-8") + source
         tree = CParser().parse(re.sub(r"/\*.*?\*/", " ", whole, flags=re.DOTALL))
@@ -82,10 +82,9 @@ class TextFunctions:
     def _named(self, name: str, kind: str, array: str = "", number: str = "") -> Value:
         """A new variable, or constant."""
         unique, count = name, 1
-        while unique.lower() in self._used:
+        while unique.lower() in {"work", *RESERVED, *self.kinds, *self.constants, *self.tables}:
             count += 1
             unique = f"{name}_{count}"
-        self._used.add(unique.lower())
         if number:
             self._fixed.add(unique)
             self.constants[unique] = kind, number
@@ -101,7 +100,6 @@ class TextFunctions:
             return self._named(name, "DINT", "work", str(self.size - value))
         if np.ndim(value):
             self.tables[name] = [literal(number) for number in np.ravel(value)]
-            self._used.add(name)
             self._fixed.add(name)
             return Value("0", "DINT", name)
         return self._named(name, "LREAL", number=literal(value))
