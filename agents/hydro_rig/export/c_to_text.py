@@ -203,10 +203,9 @@ class TextFunctions:
         match type(node).__name__, getattr(node, "op", ""):
             case "Value", _:
                 return node
-            case "Constant", _ if node.type == "int":
-                return Value(node.value, "DINT")
             case "Constant", _:
-                return Value(literal(float(node.value)), "LREAL")
+                whole = node.type == "int"
+                return Value(node.value, "DINT") if whole else Value(literal(float(node.value)), "LREAL")
             case "ID", _ if node.name in self._scope:
                 return self._scope[node.name]
             case "StructRef", _:

@@ -12,7 +12,7 @@ import numpy as np
 from hydro_env import __version__
 from hydro_env.types import ByName
 from hydro_rig.export.c_files import TEMPLATES, render
-from hydro_rig.export.c_writer import ARITHMETIC, Language, Writer, declaration
+from hydro_rig.export.c_writer import ARITHMETIC, Language, Writer
 from hydro_rig.export.controller import GAINS, ControllerGraph, facts_of, field, written_step
 from hydro_rig.export.graph import KINDS, Graph, Node
 from hydro_rig.export.tracing import TraceError
@@ -147,13 +147,7 @@ def structured_text(controller: ControllerGraph, name: str = "Controller") -> st
     own = ("wanted", "gains", "factors", "totals", "done", name)
     writer = TextWriter(controller.graph, (*own, *inputs.values(), *outputs.values(), *fields.values()), name)
     values = written_step(controller, writer, {**fields, **inputs, **gains}, outputs)
-    values |= {
-        "functions": writer.functions,
-        "longest": writer.longest,
-        "declared": writer.declared,
-        "work": [declaration(LANGUAGE, one, size, kind) for one, (kind, size) in writer.work.items()],
-    }
-    return _rendered("controller", controller, name, values)
+    return _rendered("controller", controller, name, {**values, "writer": writer})
 
 
 def call_example(controller: ControllerGraph, name: str) -> str:
@@ -163,7 +157,7 @@ def call_example(controller: ControllerGraph, name: str) -> str:
 
 def _rendered(template: str, controller: ControllerGraph, name: str, values: ByName) -> str:
     """A template with its values."""
-    own = {"st_name": st_name, "literal": literal, "real": LANGUAGE.types[controller.real]}
+    own = {"st_name": st_name, "literal": literal, "language": LANGUAGE, "real": LANGUAGE.types[controller.real]}
     values = {**facts_of(controller, name), **own, **values}
     return plain(render(f"{template}.st.j2", values))
 

@@ -13,19 +13,13 @@ from hydro_rig.export.translator import Translator
 
 
 @inline
-def doubled(values, at):
-    values[at] *= 2.0
-    return values[at], at + 1
-
-
-@inline
-def a_bit_of_all(values):
+def a_bit_of_all(x):
     for k in range(1, 9):
-        if (k > 2 and values[k - 3] > 3.0) or values[k] != values[k]:
-            values[0] = -(math.tanh(values[1]) ** 2) if k < 4 else k // 2
+        if (k > 2 and x[k - 3] > 3.0) or x[k] != x[k]:
+            x[0] = -(math.tanh(x[1]) ** 2) if k < 4 else k // 2
             break
-        both, after = doubled(values, k)
-        values[k] = math.hypot(min(both, 3.0), after / 4) + float(np.float32(0.1))
+        x[k], after = 2.0 * x[k], (k + 1) / 4
+        x[k] = math.hypot(min(x[k], 3.0), after) + float(np.float32(0.1))
 
 
 @pytest.mark.parametrize("values", [np.arange(0.3, 3.0, 0.3), np.array([1.0, -0.7, math.nan, *[0.0] * 6])])
