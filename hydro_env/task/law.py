@@ -50,28 +50,25 @@ class StructureLaw(Group):
 class RigLaw(Group):
     """From which rigs each episode of a task takes its own; intervals are log-uniform."""
 
-    count: int = Field(64, ge=1, le=MOST_RIGS, description="rigs, drawn once; each episode takes one of them")
-    split: Literal["training", "validation", "test"] = Field("training", description="no two splits share a rig")
-    first: int = Field(0, ge=0, le=10**8, description="number of the first rig of the split")
-    sheet: bool = Field(True, description="the observation ends with the data sheet; false: the agent must find out")
-    preview_paces: tuple[Number, ...] = Field(
-        (0.5, 1.0, 2.0, 3.0, 4.0, 5.0),
-        description="the observation contains the reference so many paces ahead; none: at the task's preview_times",
-    )
-    cylinders: dict[int, tuple[Whole, ...]] = Field(_CYLINDERS, description="mm; bores, and the rods of each")
+    count: int = Field(64, ge=1, le=MOST_RIGS)  # rigs, drawn once; each episode takes one of them
+    split: Literal["training", "validation", "test"] = "training"  # no two splits share a rig
+    first: int = Field(0, ge=0, le=10**8)  # number of the first rig of the split
+    sheet: bool = True  # the observation ends with the data sheet; false: the agent must find out
+    # The observation contains the reference so many paces ahead; none: at the task's preview_times
+    preview_paces: tuple[Number, ...] = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
+    cylinders: dict[int, tuple[Whole, ...]] = _CYLINDERS  # mm; bores, and the rods of each
     stroke_per_bore: Range = interval((3.0, 15.0), "1", "length over bore", 0.5, 100.0)
     longest_stroke: Number = quantity(1.2, "m", "longer ones are cut", 0.05, 10.0)
-    supplies: tuple[Number, ...] = Field((70.0, 100.0, 120.0, 160.0, 210.0, 250.0), description="bar")
-    rated_flows: tuple[Number, ...] = Field(
-        (5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 250.0), description="l/min at 70 bar; of the valves on sale"
-    )
+    supplies: tuple[Number, ...] = (70.0, 100.0, 120.0, 160.0, 210.0, 250.0)  # bar
+    # l/min at 70 bar; of the valves on sale
+    rated_flows: tuple[Number, ...] = (5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 250.0)
     full_speed: Range = interval((0.1, 1.0), "m/s", "for which the valve is chosen", 0.005, 10.0)
     natural_frequency: Range = interval((10.0, 80.0), "Hz", "of the load on the oil, unless too heavy", 0.5, 1e3)
     bandwidth: Range = interval((30.0, 150.0), "Hz", "at which the spool lags by 90 degrees", 1.0, 1e3)
     position_noise: Range = interval((1e-5, 1e-4), "1", "of the stroke", 1e-9, 0.1)
     position_resolution: Range = interval((1e-6, 4e-5), "1", "of the stroke", 1e-9, 0.1)
     position_accuracy: Range = interval((1e-4, 1e-3), "1", "of the stroke", 1e-9, 0.1)
-    pressure_ranges: tuple[Number, ...] = Field((100.0, 160.0, 250.0, 400.0), description="bar; of the sensors")
+    pressure_ranges: tuple[Number, ...] = (100.0, 160.0, 250.0, 400.0)  # bar; of the sensors
     pressure_noise: Range = interval((2e-4, 2e-3), "1", "of the range", 1e-9, 0.1)
     pressure_accuracy: Range = interval((2.5e-3, 1e-2), "1", "of the range", 1e-9, 0.1)
     double_rod_share: Number = _share(0.15, "a rod on both sides")
@@ -85,10 +82,8 @@ class RigLaw(Group):
     line_length: Range = interval((0.5, 3.0), "m", "of each", 0.01, 100.0)
     structure: StructureLaw = StructureLaw()
     no_spool_sensor_share: Number = _share(0.3, "no spool sensor")
-    periods: dict[float, Number] = Field(
-        {1.0: 0.1, 2.0: 0.2, 4.0: 0.2, 5.0: 0.2, 8.0: 0.15, 10.0: 0.15},
-        description="ms; control periods, and how often each occurs",
-    )
+    # ms; control periods, and how often each occurs
+    periods: dict[float, Number] = {1.0: 0.1, 2.0: 0.2, 4.0: 0.2, 5.0: 0.2, 8.0: 0.15, 10.0: 0.15}
     latency: Range = interval((0.5, 5.0), "ms", "at most one period", 0.01, 20.0)
 
     @whole_group

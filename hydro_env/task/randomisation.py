@@ -30,9 +30,9 @@ class Distribution(Group):
 
     uniform: Bounds | None = None
     log_uniform: Bounds | None = None
-    factor: Bounds | None = Field(None, description="uniform; multiples of the rig's own value")
-    log_factor: Bounds | None = Field(None, description="log-uniform; multiples of the rig's own value")
-    times: str | None = Field(None, description="path of a parameter that multiplies the draw")
+    factor: Bounds | None = None  # uniform; multiples of the rig's own value
+    log_factor: Bounds | None = None  # log-uniform; multiples of the rig's own value
+    times: str | None = None  # path of a parameter that multiplies the draw
     otherwise: Number | None = None
     otherwise_probability: Number = Field(0.0, ge=0.0, le=1.0)
 

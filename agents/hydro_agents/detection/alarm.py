@@ -33,10 +33,10 @@ OUTLIER = 3.0  # standard deviations; a look farther from the mean of those befo
 class Scale(Group):
     """Scores of healthy axes during one activity, and the rise that the design leak causes; set by calibration."""
 
-    highest_baseline: float = Field(ge=-1e9, le=1e9, description="upper limit of every axis's own baseline")
-    learning: int = Field(60, ge=0, le=10_000, description="looks until an axis's own baseline is known; 0: none")
-    spread: float = Field(gt=0.0, le=1e9, description="standard deviation of a look about its axis's baseline")
-    shift: float = Field(ge=0.0, le=1e9, description="rise of the score by the design leak; 0: no evidence")
+    highest_baseline: float = Field(ge=-1e9, le=1e9)  # upper limit of every axis's own baseline
+    learning: int = Field(60, ge=0, le=10_000)  # looks until an axis's own baseline is known; 0: none
+    spread: float = Field(gt=0.0, le=1e9)  # standard deviation of a look about its axis's baseline
+    shift: float = Field(ge=0.0, le=1e9)  # rise of the score by the design leak; 0: no evidence
 
 
 class Scales(Group):
@@ -50,10 +50,10 @@ class Scales(Group):
 class AlarmSettings(Group):
     """Settings of an alarm, as in ``configs/agents/alarm.yaml``."""
 
-    interval: float = Field(4.0, gt=0.0, le=3600.0, description="s; between looks")
-    clip: float = Field(2.0, gt=0.0, le=1e6, description="largest contribution of one look: an outlier raises no alarm")
+    interval: float = Field(4.0, gt=0.0, le=3600.0)  # s; between looks
+    clip: float = Field(2.0, gt=0.0, le=1e6)  # largest contribution of one look: an outlier raises no alarm
     scales: Scales
-    threshold: float = Field(1.0, gt=0.0, le=1e9, description="of the sum")
+    threshold: float = Field(1.0, gt=0.0, le=1e9)  # of the sum
 
     @classmethod
     def load(cls, path: str | Path) -> "AlarmSettings":

@@ -75,11 +75,11 @@ class HeadSettings(Group):
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
 
-    task: TaskConfig = Field(description="observations, and data sheet of the axis")
-    window: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW, description="observations, as ``predict`` reads")
-    longest: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW, description="observations")
-    threshold: float = Field(ge=0.0, le=1.0, description="probability of a leak: 1 % false alarms in validation")
-    width: int = Field(ge=2, le=LARGEST_WIDTH, description="of the network")
+    task: TaskConfig  # observations, and data sheet of the axis
+    window: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW)  # observations, as ``predict`` reads
+    longest: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW)  # observations
+    threshold: float = Field(ge=0.0, le=1.0)  # probability of a leak: 1 % false alarms in validation
+    width: int = Field(ge=2, le=LARGEST_WIDTH)  # of the network
     training: ByName
 
     @property

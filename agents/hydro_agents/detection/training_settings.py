@@ -20,15 +20,15 @@ class HeadTrainingSettings(Group):
 
     model_config = ConfigDict(allow_inf_nan=False)
 
-    law: RigLaw | None = Field(None, description="of the rigs of the training, each for a few runs; none: the task's")
-    episodes: int = Field(6_000, ge=20, le=250_000, description="training runs, over all kinds of operation")
-    validation_episodes: int = Field(2_000, ge=20, le=THRESHOLDS.count, description="for thresholds and intervals")
-    longest: float = Field(4.0, ge=1.0, le=100.0, description="longest window, in episodes of the task")
-    fault_share: float = Field(0.45, ge=0.0, le=1.0, description="share of runs with a fault other than a leak")
+    law: RigLaw | None = None  # of the rigs of the training, each for a few runs; none: the task's
+    episodes: int = Field(6_000, ge=20, le=250_000)  # training runs, over all kinds of operation
+    validation_episodes: int = Field(2_000, ge=20, le=THRESHOLDS.count)  # for thresholds and intervals
+    longest: float = Field(4.0, ge=1.0, le=100.0)  # longest window, in episodes of the task
+    fault_share: float = Field(0.45, ge=0.0, le=1.0)  # share of runs with a fault other than a leak
     epochs: int = Field(20, ge=1, le=100_000)
     batch: int = Field(256, ge=1, le=1_000_000)
     learning_rate: float = Field(3e-3, gt=0.0, le=1.0)
-    dropout: float = Field(0.0, ge=0.0, lt=1.0, description="share of hidden units that are left out in training")
+    dropout: float = Field(0.0, ge=0.0, lt=1.0)  # share of hidden units that are left out in training
     width: int = Field(128, ge=2, le=LARGEST_WIDTH)
 
     def check(self, config: TaskConfig) -> None:

@@ -47,8 +47,8 @@ Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
 class Condition(Surroundings):
     """One condition: its differences from the task of the protocol, which the participants do not know."""
 
-    group: str = Field("other", description="conditions that belong together in tables and pictures")
-    label: str = Field("", description="short text for axes; default: the name")
+    group: str = "other"  # conditions that belong together in tables and pictures
+    label: str = ""  # short text for axes; default: the name
 
 
 AnyCondition = TypeVar("AnyCondition", bound=Condition)

@@ -32,18 +32,12 @@ class ProtocolSettings(PairedCases):
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
     """
 
-    leak_levels: Levels = Field((0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), description="l/min at 100 bar")
-    plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
-    seeds: PlantSeeds = Field(
-        "EVALUATION",
-        description="of the plants, from the ledger; CHOICES: validation plants, to choose among trainings",
-    )
-    standstill_plants: int = Field(
-        8,
-        ge=0,
-        le=SEEDS_PER_FAMILY,
-        description="plants of the search for limit cycles, each at the smallest and the largest leak; 0: no search",
-    )
+    leak_levels: Levels = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)  # l/min at 100 bar
+    plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY)  # per level and family
+    # Of the plants, from the ledger; CHOICES: validation plants, to choose among trainings
+    seeds: PlantSeeds = "EVALUATION"
+    # Plants of the search for limit cycles, each at the smallest and the largest leak; 0: no search
+    standstill_plants: int = Field(8, ge=0, le=SEEDS_PER_FAMILY)
 
     def protocol(self, task: TaskConfig, title: str = "Evaluation") -> RobustnessProtocol:
         """The evaluation as a protocol whose only condition is the task itself."""

@@ -33,11 +33,11 @@ Level = Annotated[Number, between(HEALTHY, LEAKAGE_LIMIT, " l/min")]
 class DetectorChoice(Group):
     """A detector, and how many windows it reads in a protocol."""
 
-    kind: str = Field(description="head, estimator, or module:attribute for your own")
-    weights: str | None = Field(None, description="of a head: a path; default: the shipped one")
-    windows: int = Field(1000, ge=1, le=100_000, description="windows per leak level")
-    validation_windows: int = Field(4000, ge=20, le=100_000, description="healthy ones, for 1 % false alarms")
-    batch: int = Field(500, ge=1, le=10_000, description="windows per job; fixed: no result depends on the machine")
+    kind: str  # head, estimator, or module:attribute for your own
+    weights: str | None = None  # of a head: a path; default: the shipped one
+    windows: int = Field(1000, ge=1, le=100_000)  # windows per leak level
+    validation_windows: int = Field(4000, ge=20, le=100_000)  # healthy ones, for 1 % false alarms
+    batch: int = Field(500, ge=1, le=10_000)  # windows per job; fixed: no result depends on the machine
 
     @field_validator("kind")
     @classmethod
@@ -67,22 +67,15 @@ def make_detector(choice: DetectorChoice) -> Detector:
 class LeakCondition(Condition):
     """One condition; the detectors do not know it."""
 
-    acting: Annotated[str, known_name(ACTING, "controller")] = Field(
-        "PID", description=f"controller of the axes: {', '.join(ACTING)}"
-    )
-    motion: Annotated[str, known_name(MOTIONS, "motion")] = Field(
-        "ordinary", description=f"motion of the axes: {', '.join(MOTIONS)}"
-    )
-    begins: Literal["at rest", "anywhere"] = Field(
-        "at rest", description="at rest: windows are the starts of runs; anywhere: windows are cut from longer runs"
-    )
-    duration: float = Field(2.0, gt=0.0, le=60.0, description="s; length of the windows")
-    levels: tuple[Level, ...] | None = Field(None, min_length=1, description="l/min; 0: healthy; default: protocol")
-    share: float = Field(1.0, gt=0.0, le=10.0, description="windows per level, relative to the detector's number")
-    detectors: tuple[str, ...] | None = Field(None, description="detectors that read it; default: all")
-    faults: dict[Annotated[str, known_name(FAULTS, "fault")], Number] = Field(
-        {}, description="magnitude of each fault, by name"
-    )
+    acting: Annotated[str, known_name(ACTING, "controller")] = "PID"  # controller of the axes
+    motion: Annotated[str, known_name(MOTIONS, "motion")] = "ordinary"  # of the axes
+    # At rest: windows are the starts of runs; anywhere: windows are cut from longer runs
+    begins: Literal["at rest", "anywhere"] = "at rest"
+    duration: float = Field(2.0, gt=0.0, le=60.0)  # s; length of the windows
+    levels: tuple[Level, ...] | None = Field(None, min_length=1)  # l/min; 0: healthy; default: protocol
+    share: float = Field(1.0, gt=0.0, le=10.0)  # windows per level, relative to the detector's number
+    detectors: tuple[str, ...] | None = None  # detectors that read it; default: all
+    faults: dict[Annotated[str, known_name(FAULTS, "fault")], Number] = {}  # magnitude of each fault, by name
 
     @whole_group
     def _known(self) -> "LeakCondition":
@@ -107,9 +100,9 @@ class LeakProtocol(Protocol[LeakCondition]):
     title: str = "Leak detection"
     levels: tuple[Level, ...] = Field((HEALTHY, 0.3, 1.0), min_length=1)
     detectors: dict[str, DetectorChoice] = Field(min_length=1)
-    bound_conditions: tuple[Name, ...] = Field((), description="for which the Cramér–Rao bound is computed")
-    bound_windows: int = Field(24, ge=1, le=10_000, description="of them, per level")
-    base: Name = Field("ordinary", description="the condition with all leak sizes, to which the others are compared")
+    bound_conditions: tuple[Name, ...] = ()  # for which the Cramér–Rao bound is computed
+    bound_windows: int = Field(24, ge=1, le=10_000)  # of them, per level
+    base: Name = "ordinary"  # the condition with all leak sizes, to which the others are compared
 
     @whole_group
     def _consistent(self) -> "LeakProtocol":

@@ -50,12 +50,11 @@ Families = Annotated[tuple[Family, ...], Field(min_length=1), AfterValidator(_di
 class PairedCondition(Condition):
     """One condition; the controllers do not know it."""
 
-    leak_levels: Levels | None = Field(None, description="l/min at 100 bar; default: protocol")
-    families: Families | None = Field(None, description="default: those of the protocol")
-    plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
-    controllers: dict[str, str | ByName] = Field(
-        {}, description="by name; controllers for this condition: as in --agent, or the path of a file of gains"
-    )
+    leak_levels: Levels | None = None  # l/min at 100 bar; default: protocol
+    families: Families | None = None  # default: those of the protocol
+    plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY)  # per level and family; default: protocol
+    # By name; controllers for this condition: as in --agent, or the path of a file of gains
+    controllers: dict[str, str | ByName] = {}
 
 
 def paired(levels: Sequence[float], families: Sequence[str], plants: int, seeds: SeedRange) -> pd.DataFrame:
@@ -71,11 +70,11 @@ def paired(levels: Sequence[float], families: Sequence[str], plants: int, seeds:
 class PairedCases(Group):
     """Number and kind of paired cases."""
 
-    leak_levels: Levels = Field((0.03, 1.0, 4.0), description="l/min at 100 bar")
+    leak_levels: Levels = (0.03, 1.0, 4.0)  # l/min at 100 bar
     families: Families = MOVING_FAMILIES
-    plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
-    seeds: PlantSeeds = Field("ROBUSTNESS", description="of the plants: a range of the ledger of seeds, by its name")
-    standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per leak, for limit cycles; 0: no search")
+    plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY)  # per level and family
+    seeds: PlantSeeds = "ROBUSTNESS"  # of the plants: a range of the ledger of seeds, by its name
+    standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY)  # per leak, for limit cycles; 0: no search
 
 
 class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
@@ -87,10 +86,9 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
     parts: ClassVar[tuple[str, ...]] = ("cases", "limit_cycles")
     kind: Literal["robustness"] = "robustness"
     title: str = "Robustness"
-    chunk: int = Field(128, ge=1, le=2048, description="cases of a job; fixed: no result depends on the machine")
-    standstill_leak_levels: Levels = Field(
-        (0.03, 1.0, 8.0), description="l/min; search for limit cycles under each condition without its own leak levels"
-    )
+    chunk: int = Field(128, ge=1, le=2048)  # cases of a job; fixed: no result depends on the machine
+    # l/min; search for limit cycles under each condition without its own leak levels
+    standstill_leak_levels: Levels = (0.03, 1.0, 8.0)
 
     @whole_group
     def _possible(self) -> "RobustnessProtocol":

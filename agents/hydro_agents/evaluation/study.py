@@ -35,22 +35,19 @@ Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]
 class TuningSettings(Group):
     """Tuning of a classical controller (:func:`hydro_agents.learning.tuning.tune`) before it takes part in a study."""
 
-    evaluations: int = Field(840, ge=1, le=10_000_000, description="total number of candidates")
-    cases: int = Field(42, ge=1, le=100_000, description="training cases per candidate")
+    evaluations: int = Field(840, ge=1, le=10_000_000)  # total number of candidates
+    cases: int = Field(42, ge=1, le=100_000)  # training cases per candidate
 
 
 class ControllerEntry(Group):
     """One controller of a study."""
 
-    kind: str = Field(description="pid, ppo, or module:attribute for your own controller or trainer")
-    settings: SerializeAsAny[Any] = Field(
-        {}, validate_default=True, description="settings of the controller or its training; or the path of a YAML file"
-    )
-    corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
-    tune: TuningSettings | None = Field(
-        None,
-        description="for a classical controller: tune its gains first, beginning with its settings; --rig always does",
-    )
+    kind: str  # pid, ppo, or module:attribute for your own controller or trainer
+    # Settings of the controller or its training; or the path of a YAML file
+    settings: SerializeAsAny[Any] = Field({}, validate_default=True)
+    corrects: str | None = None  # name of the controller whose command a trained one corrects
+    # For a classical controller: tune its gains first, beginning with its settings; --rig always does
+    tune: TuningSettings | None = None
 
     @field_validator("kind")
     @classmethod
@@ -87,13 +84,12 @@ class ControllerEntry(Group):
 class StudySettings(Group):
     """A study: task, controllers, training and evaluation. ``configs/studies`` holds examples."""
 
-    seed: int = Field(0, ge=0, le=2**32 - 1, description="seed of all random numbers; --seed overrides it")
+    seed: int = Field(0, ge=0, le=2**32 - 1)  # seed of all random numbers; --seed overrides it
     title: str = "Controllers of a servo axis that leaks"
     task: TaskConfig = TaskConfig()
-    controllers: dict[Name, ControllerEntry] = Field(min_length=1, description="by name; the first is the baseline")
-    leakage_head: HeadTrainingSettings = Field(
-        default_factory=HeadTrainingSettings, description="for hydro train head, with task and controllers of the study"
-    )
+    controllers: dict[Name, ControllerEntry] = Field(min_length=1)  # by name; the first is the baseline
+    # For hydro train head, with task and controllers of the study
+    leakage_head: HeadTrainingSettings = Field(default_factory=HeadTrainingSettings)
     evaluation: ProtocolSettings = ProtocolSettings()
 
     @whole_group

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 
 from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.errors import at
@@ -79,12 +79,12 @@ def timed_task(
 class Surroundings(Group):
     """Changes of an axis under a condition of a protocol: task, plants and sensors, or another rig."""
 
-    task: ByName = Field({}, description="changed fields of the task, as in YAML")
-    parameters: dict[str, Number | str] = Field({}, description="of every plant, SI units, by path")
-    factors: dict[str, Factor] = Field({}, description="parameters relative to the nominal rig's")
-    noise_factor: Factor = Field(1.0, description="on the noise of every sensor")
-    bias_factor: Factor = Field(1.0, description="on the largest bias of every sensor")
-    rig: str | None = Field(None, description="another rig: a name in configs/rigs, or a path")
+    task: ByName = {}  # changed fields of the task, as in YAML
+    parameters: dict[str, Number | str] = {}  # of every plant, SI units, by path
+    factors: dict[str, Factor] = {}  # parameters relative to the nominal rig's
+    noise_factor: Factor = 1.0  # on the noise of every sensor
+    bias_factor: Factor = 1.0  # on the largest bias of every sensor
+    rig: str | None = None  # another rig: a name in configs/rigs, or a path
 
     @whole_group
     def _paths_exist(self) -> "Surroundings":

@@ -55,10 +55,10 @@ def factor(signal: str, unit: str, place: str) -> float:
 class Column(Group):
     """One signal of a recording: value = gain · cell + offset, in ``unit``."""
 
-    column: str | Annotated[int, Field(ge=1)] = Field(description="heading, or number of the column from 1")
-    unit: str | None = Field(None, description="unit of the value; default: the one in the heading, [mm] or (mm)")
-    gain: Number = Field(1.0, ge=-1e12, le=1e12, description="scale of a raw signal; −1 reverses the sign")
-    offset: Number = Field(0.0, ge=-1e12, le=1e12, description="in the unit of the value")
+    column: str | Annotated[int, Field(ge=1)]  # heading, or number of the column from 1
+    unit: str | None = None  # unit of the value; default: the one in the heading, [mm] or (mm)
+    gain: Number = Field(1.0, ge=-1e12, le=1e12)  # scale of a raw signal; −1 reverses the sign
+    offset: Number = Field(0.0, ge=-1e12, le=1e12)  # in the unit of the value
 
     @model_validator(mode="before")
     @classmethod
@@ -69,19 +69,15 @@ class Column(Group):
 class TimeColumn(Column):
     """The time stamps."""
 
-    equidistant: bool | Annotated[Number, Field(gt=0.0, le=1.0)] = Field(
-        False,
-        description="whether the rows lie at equal distances, whatever their stamps say; or this distance, as in 5 ms",
-        json_schema_extra={"unit": "s"},
-    )
+    # Whether the rows lie at equal distances, whatever their stamps say; or this distance, as in 5 ms
+    equidistant: bool | Annotated[Number, Field(gt=0.0, le=1.0)] = Field(False, json_schema_extra={"unit": "s"})
 
 
 class CommandColumn(Column):
     """The command; the rig's program may write it before it acts."""
 
-    rows_early: int = Field(
-        0, ge=-100, le=100, description="number of rows by which a command precedes the row in which it begins to act"
-    )
+    # Number of rows by which a command precedes the row in which it begins to act
+    rows_early: int = Field(0, ge=-100, le=100)
 
 
 class ColumnMap(Group):
@@ -92,11 +88,11 @@ class ColumnMap(Group):
     position: Column | None = None
     pressure_a: Column | None = None
     pressure_b: Column | None = None
-    load_pressure: Column | None = Field(None, description="pressure a minus b, in place of both")
+    load_pressure: Column | None = None  # pressure a minus b, in place of both
     spool_position: Column | None = None
-    supply_pressure: Column | None = Field(None, description="at the valve")
-    tank_pressure: Column | None = Field(None, description="at the valve")
-    flow: Column | None = Field(None, description="into chamber a; with a pump: displacement as gain of its speed")
+    supply_pressure: Column | None = None  # at the valve
+    tank_pressure: Column | None = None  # at the valve
+    flow: Column | None = None  # into chamber a; with a pump: displacement as gain of its speed
     oil_temperature: Column | None = None
 
     @model_validator(mode="after")

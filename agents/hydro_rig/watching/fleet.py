@@ -23,19 +23,18 @@ USUAL_LIMIT = 0.3  # l/min at 100 bar and 40 °C, of the default rig
 class AxisSettings(Group):
     """One axis; paths are relative to the file that names it."""
 
-    task: str | None = Field(None, description="name in `configs/tasks`, or a file")
-    rig: str | None = Field(None, description="name in `configs/rigs`, or a file; default: the paper's")
-    map: str | None = Field(None, description="file that maps the columns")
-    oil: str | float = Field("46", description="ISO VG grade, or mm²/s at 40 and 100 °C such as 46/8.1")
-    limit: float | None = Field(
-        None, ge=1e-3, le=100.0, description="leak that is too much, l/min at 100 bar and 40 °C; default: by the rig"
-    )
+    task: str | None = None  # name in `configs/tasks`, or a file
+    rig: str | None = None  # name in `configs/rigs`, or a file; default: the paper's
+    map: str | None = None  # file that maps the columns
+    oil: str | float = "46"  # ISO VG grade, or mm²/s at 40 and 100 °C such as 46/8.1
+    # Leak that is too much, l/min at 100 bar and 40 °C; default: by the rig
+    limit: float | None = Field(None, ge=1e-3, le=100.0)
 
 
 class FleetSettings(AxisSettings):
     """All axes; what stands beside ``axes`` holds for those that do not say otherwise."""
 
-    axes: dict[str, AxisSettings] = Field(min_length=1, description="by name")
+    axes: dict[str, AxisSettings] = Field(min_length=1)  # by name
 
 
 class Axis(NamedTuple):
