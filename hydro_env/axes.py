@@ -330,4 +330,4 @@ class Axes:
 
     def external_force(self, axis: int) -> float:
         """External force in N that acts on an axis now, disturbance included."""
-        return float(self.coefficient[axis, Coefficients._fields.index("external_force")])
+        return self.coefficient[axis, Coefficients._fields.index("external_force")]

@@ -187,4 +187,4 @@ class AxisRenderer:
 
 
 def _oil(share: float) -> Color:
-    return tuple(round(float(np.interp(share, (0.0, 0.5, 1.0), channel))) for channel in zip(*OIL, strict=True))
+    return tuple(round(np.interp(share, (0.0, 0.5, 1.0), channel)) for channel in zip(*OIL, strict=True))

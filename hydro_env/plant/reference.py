@@ -73,7 +73,7 @@ def reference_states(
             if not solution.success:
                 when = sample * sample_time + time
                 raise InvalidStateError(f"the reference solver failed at t = {when:g} s: {solution.message}")
-            state, time = of_axis.hold_limits(solution.y[:, -1], coefficients), float(solution.t[-1])
+            state, time = of_axis.hold_limits(solution.y[:, -1], coefficients), solution.t[-1]
             if time >= sample_time:
                 break
             met = np.flatnonzero([len(times) for times in solution.t_events])

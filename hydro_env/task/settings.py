@@ -104,8 +104,8 @@ def settings_of(config: TaskConfig) -> Array:
         # Conversion from a resistance rounds a flow, which may then exceed the bound of its class slightly.
         "class_limits": np.array(config.leakage.class_bounds) * (1 + 1e-9),
         "latency_range": config.command_latency_range or (config.command_latency,) * 2,
-        "start_bias_share": float(config.start == "measured"),
-        "reward_bias_share": float(config.reward.frame == "sensor"),
+        "start_bias_share": config.start == "measured",
+        "reward_bias_share": config.reward.frame == "sensor",
         "error_scales": [
             config.reward.error_scale * config.reward.family_scale.get(name, 1.0) for name in REFERENCE_FAMILIES
         ],

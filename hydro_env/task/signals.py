@@ -135,7 +135,7 @@ def data_sheet(config: TaskConfig) -> dict[str, float]:
         "weight": 3.0 * plant.load.external_force / weakest,
         "friction": 20.0 * plant.friction.coulomb_force / weakest,
         "supply": plant.supply.pressure / 100e5,
-        "spool_sensor": float(config.sensors.spool_position.fitted),
+        "spool_sensor": config.sensors.spool_position.fitted,
     }
     return {name: float(np.clip(values[name], -SHEET_LIMIT, SHEET_LIMIT)) for name in SHEET}
 

@@ -82,12 +82,12 @@ class OwnLoop:
         """
         present, measured_si = self._read(reference, measured), self._record["measured"][0]
         command = kept = float(self._record["command"][0])
-        complete = bool(present.all())
+        complete = present.all()
         if complete:
-            self._at_rest = float(self._model.voltage_at_rest(*measured_si[self._for_rest])) / FULL_VOLTAGE
+            self._at_rest = self._model.voltage_at_rest(*measured_si[self._for_rest]) / FULL_VOLTAGE
         if complete or not np.isnan(self._before):
             command = self._answer(present)
-            self._before = float(measured_si[POSITION])
+            self._before = measured_si[POSITION]
         self.lost = 0 if complete and np.isfinite(command) else self.lost + 1
         command = float(np.clip(command, -1.0, 1.0)) if np.isfinite(command) else kept
         travel, largest = (self.lost - 1) * self._travel * abs(command), min(self._period / STOPPING_TIME, 1.0)

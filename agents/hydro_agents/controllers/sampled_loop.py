@@ -61,7 +61,7 @@ class SampledLoop:
 
     def spectral_radius(self, gain: complex) -> float:
         """Largest |z| of the closed loop; above 1 the loop is unstable."""
-        return float(np.abs(np.linalg.eigvals(self.closed(gain))).max())
+        return np.abs(np.linalg.eigvals(self.closed(gain))).max()
 
     def is_stable(self, gain: float) -> bool:
         """Whether the closed loop is stable; rounding at the limit counts as stable."""
@@ -71,7 +71,7 @@ class SampledLoop:
         """Index of the first of some gains with which the closed loop is unstable."""
         radii = np.abs(np.linalg.eigvals(self.closed(gains))).max(axis=-1)
         unstable = np.flatnonzero(radii > 1.0 + _NEUTRAL)
-        return int(unstable[0]) if len(unstable) else None
+        return unstable[0] if len(unstable) else None
 
     def largest_stable_gain(self, limit: float = 1e6) -> float:
         """Gain in command per metre (1 = 10 V) at which an eigenvalue of the closed loop leaves the unit circle.
@@ -89,13 +89,13 @@ class SampledLoop:
         while high / low > 1.0 + 1e-9:
             middle = np.sqrt(low * high)
             low, high = (middle, high) if self.is_stable(middle) else (low, middle)
-        return float(low)
+        return low
 
     def phase_margin(self, gain: float) -> float:
         """Least phase in degrees, lag or lead, that makes the closed loop unstable; infinite if none does."""
         angles = np.arange(0.0, 180.5, 0.5)
         first = self._first_unstable(gain * np.exp(-1j * np.radians(angles)))
-        return np.inf if first is None else float(angles[max(first - 1, 0)])
+        return np.inf if first is None else angles[max(first - 1, 0)]
 
     def frequency_response(self, frequencies: Floats) -> Array:
         """Response of the position to the command at frequencies in Hz, (n,) → m per command (1 = 10 V), (n,)."""
@@ -123,7 +123,7 @@ class SampledLoop:
         matrix[:, 0] -= gain * self.position_size * self.b
         answer, *_ = np.linalg.lstsq(matrix, -self.force, rcond=1e-15)
         compliance = -answer[0] * self.position_size
-        return float(1.0 / compliance) if compliance > 1e-12 else np.inf
+        return 1.0 / compliance if compliance > 1e-12 else np.inf
 
 
 def sampled_loop(
@@ -155,7 +155,7 @@ def sampled_loop(
     first, held_first = zero_order_hold(a, b, within)
     rest, held_rest = zero_order_hold(a, b, control_period - within)
     held = rest @ first, rest @ held_first, held_rest
-    return SampledLoop(*held, a, b, force, float(size[0]), control_period, late)
+    return SampledLoop(*held, a, b, force, size[0], control_period, late)
 
 
 def places_in_reach(parameters: PlantParameters) -> list[float]:

@@ -132,7 +132,7 @@ class Windows:
     @property
     def samples(self) -> int:
         """T."""
-        return int(self.signals.shape[2])
+        return self.signals.shape[2]
 
     def signal(self, name: str) -> Floats:
         """One signal, (N, T), by its name in :data:`SIGNALS`."""

@@ -88,7 +88,7 @@ def drawn(generator: np.random.Generator, kinds: NDArray[np.str_], steps: int, p
         kind = DISTURBANCES[name]
         size = np.exp(generator.uniform(*np.log(kind.size))) * generator.choice(kind.signs)
         start = generator.uniform(-0.5, 0.9) * time[-1]
-        course[axis, kind.row] = size * kind.shape(time, start, float(np.exp(generator.uniform(*np.log(kind.time)))))
+        course[axis, kind.row] = size * kind.shape(time, start, np.exp(generator.uniform(*np.log(kind.time))))
     ripple = kinds == "pump ripple"  # an accumulator on the way to the valve would damp it
     return Disturbances(course, ripple | (generator.random(len(kinds)) < 0.5))
 

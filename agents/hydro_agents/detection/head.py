@@ -266,7 +266,7 @@ class LeakageHead:
         """The leak and the ends of its interval, l/min at 100 bar, (N, 3), from the outputs of the network."""
         tensors = self.tensors
         found = quantiles(output)
-        group = groups(found, features[:, CHANGE], tensors["widths"], float(tensors["changing"][0]))
+        group = groups(found, features[:, CHANGE], tensors["widths"], tensors["changing"][0])
         chosen = (group[:, None] == np.arange(GROUPS)).astype(np.float32)
         distance = (chosen @ tensors["widening"].reshape(GROUPS, -1)).reshape(-1, len(SIZES), 2)
         sizes = 10.0 ** np.clip(intervals(found, distance), np.log10(SMALLEST_FLOW), np.log10(LARGEST_FLOW))

@@ -199,7 +199,7 @@ def calibrated(
     found, size = quantiles(output), size_target(windows.size)
     tensors["widths"] = np.quantile(found[:, 2] - found[:, 0], np.arange(1, WIDTHS) / WIDTHS).astype(np.float32)
     tensors["changing"][0] = np.quantile(windows.features[:, CHANGE], 1.0 - CHANGING_SHARE)
-    group = groups(found, windows.features[:, CHANGE], tensors["widths"], float(tensors["changing"][0]))
+    group = groups(found, windows.features[:, CHANGE], tensors["widths"], tensors["changing"][0])
     for number in range(GROUPS):
         tensors["widening"][number] = distances(found, size, group == number)
     threshold = min(float(tensors["thresholds"][0]), 1.0)

@@ -39,7 +39,7 @@ class Sample(NamedTuple):
     @property
     def plants(self) -> int:
         """Number of plants with a case."""
-        return int(self.present.any(axis=1).sum())
+        return self.present.any(axis=1).sum()
 
     def where(self, kept: Mask) -> "Sample":
         """The same without the values of other cases."""

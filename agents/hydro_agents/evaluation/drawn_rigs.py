@@ -43,9 +43,9 @@ def errors_of(run: Rollout, cases: Cases, stroke: float) -> dict[str, float]:
         error[axis, run.failed_at[axis] :] = stroke
     errors = {f"{family}_um": 1e6 * error[cases.families == family].mean() for family in MOVING_FAMILIES}
     return {
-        "error_um": float(np.exp(np.mean(np.log(list(errors.values()))))),
+        "error_um": np.exp(np.mean(np.log(list(errors.values())))),
         "failures": (run.failed_at >= 0).sum(),
-        "travel": float(np.abs(np.diff(run.command, axis=1)).mean() / run.time[0]),
+        "travel": np.abs(np.diff(run.command, axis=1)).mean() / run.time[0],
         **errors,
     }
 
@@ -127,5 +127,5 @@ def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
     """One row per agent: its errors relative to those of untuned flow linearisation, failures, and its return."""
     for name, own, ratios in beside_untuned(rows, "agent"):
         returns = own["return"].to_numpy()
-        spread = float(np.sqrt(np.mean(own["return_sd"] ** 2 + (returns - returns.mean()) ** 2)))
+        spread = np.sqrt(np.mean(own["return_sd"] ** 2 + (returns - returns.mean()) ** 2))
         yield [name, *ratios, f"{int(own['failures'].sum())}", f"{returns.mean():.1f} ± {spread:.1f}"]

@@ -54,8 +54,8 @@ def judged(windows: pd.DataFrame, thresholds: pd.DataFrame) -> pd.DataFrame:
     score, thresholds = windows["score"].to_numpy(), thresholds.set_index("detector").loc[windows["detector"]]
     flagged = score >= thresholds["used"].to_numpy()  # NaN is above nothing
     at_1_percent = score >= thresholds["at_1_percent"].to_numpy()
-    verdict = np.where(flagged, float(Cause.INTERNAL_LEAK), windows["otherwise"].to_numpy())
-    verdict = np.where(np.isnan(score), float(Cause.UNKNOWN), verdict).astype(int)
+    verdict = np.where(flagged, Cause.INTERNAL_LEAK, windows["otherwise"].to_numpy())
+    verdict = np.where(np.isnan(score), Cause.UNKNOWN, verdict).astype(int)
     return windows.assign(flagged=flagged, at_1_percent=at_1_percent, verdict=verdict)
 
 

@@ -155,7 +155,7 @@ def settling_time(error: Array, period: float) -> float:
         return 0.0
     if outside[-1] == len(error) - 1:
         return math.nan
-    return float((outside[-1] + 1) * period)
+    return (outside[-1] + 1) * period
 
 
 def overshoot(position: Array, start: float, target: float) -> float:

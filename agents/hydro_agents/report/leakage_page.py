@@ -97,7 +97,7 @@ def smallest_found(found: pd.DataFrame, detector: str, base: str) -> float:
     rows = found[(found["detector"] == detector) & (found["condition"] == base) & (found["level"] > HEALTHY)]
     shares = rows.set_index("level")["at_1_percent"].sort_index()
     missed = shares.index[100.0 * shares < SURE].max() if len(shares) else np.nan
-    return float(shares.index[~(shares.index <= missed)].min())
+    return shares.index[~(shares.index <= missed)].min()
 
 
 def findings(tables: Tables, names: Sequence[str], base: str) -> pd.DataFrame:

@@ -119,7 +119,7 @@ def counted_at_rest(
 
 def comes_to_rest(counts: ByName) -> bool:
     """Whether all standstills of :func:`counted` are without a limit cycle and without a failure."""
-    return bool(counts["limit_cycles"] == 0 and counts["failures"] == 0)
+    return counts["limit_cycles"] == 0 and counts["failures"] == 0
 
 
 def rest_text(counts: ByName) -> str:

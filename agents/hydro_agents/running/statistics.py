@@ -81,6 +81,6 @@ def interval(resampled: Floats, plants: int) -> Interval:
     """The estimate (first) and the percentiles of the resamplings; no interval with too few plants."""
     values = resampled[1:][np.isfinite(resampled[1:])]
     if plants < LEAST_SAMPLES or not len(values):
-        return Interval(float(resampled[0]), np.nan, np.nan)
+        return Interval(resampled[0], np.nan, np.nan)
     low, high = np.quantile(values, [0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)])
-    return Interval(float(resampled[0]), float(low), float(high))
+    return Interval(resampled[0], low, high)

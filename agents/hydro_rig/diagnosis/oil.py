@@ -82,13 +82,13 @@ def temperature_of(measured: Recording | Windows) -> float:
     """Mean temperature of the oil in a recording, or in windows of it, °C; NaN: it was not recorded."""
     readings = measured.auxiliary.get("oil_temperature", np.zeros(0))
     known = readings[np.isfinite(readings)]
-    return float(known.mean()) if len(known) else np.nan
+    return known.mean() if len(known) else np.nan
 
 
 def common_error(oil: Oil, temperature: float) -> float:
     """Standard deviation, in decades, of the error of the temperature (°C; NaN: unknown) that all sizes share."""
     _, colder, hotter = oil.factors(temperature)
-    return float(0.5 * np.log10(colder / hotter))
+    return 0.5 * np.log10(colder / hotter)
 
 
 def referred(leak: Leak, oil: Oil, temperature: float) -> Leak:

@@ -66,7 +66,7 @@ def volume_leak(recording: Recording, config: TaskConfig) -> Balance | None:
     steady = known & (size > LEAST_SPEED * usual) & (np.ptp(speeds, axis=1) < STEADY * size)
     apart = np.diff(blocks.begin[steady]) > 1.5 * blocks.samples * samples.period
     move = np.cumsum(np.append(1, apart | (np.diff(np.sign(speed[steady])) != 0.0)))
-    moves = int(move[-1]) if steady.any() else 0
+    moves = move[-1] if steady.any() else 0
     if moves < FEWEST_MOVES:
         return _none(moves, f"covers {moves} steady moves; a balance of volumes needs {FEWEST_MOVES}")
     scale = np.sqrt((causes[steady] ** 2).mean(axis=0)) + 1e-300

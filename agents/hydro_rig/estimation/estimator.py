@@ -164,7 +164,7 @@ class EstimatorDetector:
             chosen = np.array([row])
             fit = partial(self._with_given_parts, windows.part(chosen), task, possible)
             found = with_parts(worn.part(chosen), possible, usual, fit)
-            worn.take(chosen, found, np.array([bool(found.parts[0])]))
+            worn.take(chosen, found, found.parts.astype(bool))
 
     def _with_given_parts(
         self,

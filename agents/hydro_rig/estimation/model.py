@@ -123,7 +123,7 @@ class Model:
     @property
     def samples(self) -> int:
         """T."""
-        return int(self.commands.command.shape[1])
+        return self.commands.command.shape[1]
 
     def part(self, windows: Indices) -> Self:
         """The same model of some of the windows."""

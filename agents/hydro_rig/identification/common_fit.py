@@ -96,7 +96,7 @@ class Common(NamedTuple):
     @property
     def explained(self) -> int:
         """Number of explained windows."""
-        return int((self.misfit < WELL_FITTED).sum())
+        return (self.misfit < WELL_FITTED).sum()
 
 
 def fit_together(problem: Problem, first: Floats) -> Joint:

@@ -145,11 +145,11 @@ def within_bounds(name: str, value: float) -> float:
 
 def truncated_end(value: float, low: float, high: float) -> float:
     """Upper end of the 95 % interval of a size that cannot be negative, from its normal distribution's interval."""
-    deviation = (high - low) / (2.0 * float(stats.norm.ppf(1.0 - TAIL)))
+    deviation = (high - low) / (2.0 * stats.norm.ppf(1.0 - TAIL))
     if low >= 0.0 or deviation <= 0.0:
         return high
     positive = stats.norm.sf(-value / deviation)
-    return max(high, value + deviation * float(stats.norm.isf(TAIL * positive)))
+    return max(high, value + deviation * stats.norm.isf(TAIL * positive))
 
 
 class Unknown(NamedTuple):
@@ -219,7 +219,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Ranges, recording: Indi
     flat = possible_ends(common.problem, joint, spread, ends)
     unknowns = []
     for row, (name, prior) in enumerate(priors.items()):
-        value, left = joint.common[row], float(spread.reach[row]) / COVERAGE
+        value, left = joint.common[row], spread.reach[row] / COVERAGE
         low, high = value - spread.reach[row], value + spread.reach[row]
         if flat[row].any():
             value, left = _beside(value, flat[row], prior.scaled(own_value(config.plant, name))), 1.0
@@ -228,7 +228,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Ranges, recording: Indi
         if name in (LEAKAGE, EXTERNAL_LEAKAGE):
             high = truncated_end(value, low, high)
         value, low, high = (within_bounds(name, end) for end in (value, low, high))
-        unknowns.append(Unknown(name, value, low, high, left, float(spread.widening[row])))
+        unknowns.append(Unknown(name, value, low, high, left, spread.widening[row]))
     return Fit(tuple(unknowns), common.misfit, common.noise)
 
 

@@ -62,7 +62,7 @@ class HeldBack(NamedTuple):
     @property
     def period(self) -> float:
         """Time from one sample to the next, s."""
-        return float(self.time[1] - self.time[0])
+        return self.time[1] - self.time[0]
 
 
 def simulate_held_back(
@@ -181,7 +181,7 @@ def _first_known(position: Floats, count: int) -> int:
 def sizes_of(errors: Forecast) -> list[float]:
     """Errors of position (mm), speed (mm/s) and both pressures (bar); NaN: none."""
     position, pressures = 1e3 * errors.error[POSITION], 1e-5 * errors.error[[PRESSURE_A, PRESSURE_B]]
-    return [float(position), 1e3 * errors.speed_error, *pressures.tolist()]
+    return [position, 1e3 * errors.speed_error, *pressures.tolist()]
 
 
 def errors_in_words(errors: Forecast) -> str:

@@ -79,7 +79,7 @@ class Identification:
     @property
     def share(self) -> float:
         """Share of the position's variance that is explained on the held-back part; NaN if the axis stood still."""
-        return float(self.decisive.share[POSITION])
+        return self.decisive.share[POSITION]
 
     @property
     def findings(self) -> Findings:
@@ -95,7 +95,7 @@ class Identification:
     def describes(self) -> bool:
         """Whether the model describes the axis."""
         if math.isnan(self.share) or self.beyond:
-            return bool(self.fit.explained.mean() >= 0.5) and not self.share < LEAST_EXPLAINED
+            return self.fit.explained.mean() >= 0.5 and not self.share < LEAST_EXPLAINED
         return self.share >= LEAST_EXPLAINED
 
     @property

@@ -48,7 +48,7 @@ def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding],
         known = np.isfinite(values)
         if not known.any():
             continue  # not recorded, or no numbers: already reported
-        found(row, ~known, "lacks readings", missing_weight(signal, float(1.0 - known.mean())))
+        found(row, ~known, "lacks readings", missing_weight(signal, 1.0 - known.mean()))
         if signal != "command" and np.nanmin(values) == np.nanmax(values):
             findings.append(Finding(signal, f"is constant at {_shown(signal, values[known][0])}", Weight.SEVERE))
             continue
@@ -175,7 +175,7 @@ def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) ->
     same = np.append(False, (np.diff(values) == 0.0) & (np.diff(samples.place) == 1)) & ~_at_end(values, sensor)
     shortest = max(FEWEST, round(SHORTEST / samples.period))
     changes = np.abs(np.diff(values))
-    step = float(max(sensor.resolution, np.min(changes, where=changes > 0.0, initial=np.inf)))
+    step = max(sensor.resolution, np.min(changes, where=changes > 0.0, initial=np.inf))
     stuck, ended, runs = np.zeros_like(same), np.zeros_like(same), 0
     extremes = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else ()
     for begin, end in zip(*runs_of(same), strict=True):
@@ -211,20 +211,20 @@ def _must_change(during: Floats, signal: str, least: float, samples: Sampled, co
     command = during[COMMAND]
     swing = np.ptp(command[np.isfinite(command)]) if np.isfinite(command).any() else 0.0
     if signal == "spool_position":
-        return bool(swing > max(ACTIVE_COMMAND, least))
+        return swing > max(ACTIVE_COMMAND, least)
     if signal == "position":
         spool = during[SPOOL] if np.isfinite(during[SPOOL]).all() else command
         if not np.isfinite(spool).all():
             return False
         travel = np.cumsum(spool - spool.mean()) * samples.period * np.mean(speed_limits(config.plant))
-        return bool(np.ptp(travel) > max(LEAST_TRAVEL, least))
+        return np.ptp(travel) > max(LEAST_TRAVEL, least)
     other = PRESSURE_A if signal == "pressure_b" else PRESSURE_B
     known = during[other][np.isfinite(during[other])]
     if len(known) < 2:
-        return bool(swing > ACTIVE_COMMAND)
+        return swing > ACTIVE_COMMAND
     noise = 1.05 * np.median(np.abs(np.diff(known)))  # of one reading: 1.483 / √2 of that of a difference
     low, high = np.quantile(known, [0.05, 0.95])
-    return bool(high - low > max(10.0 * noise, LEAST_PRESSURE_CHANGE * config.plant.supply.pressure, least))
+    return high - low > max(10.0 * noise, LEAST_PRESSURE_CHANGE * config.plant.supply.pressure, least)
 
 
 def _shown(signal: str, value: float) -> str:

@@ -139,7 +139,7 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
 
 
 def _usual_step(stamps: Floats) -> float:
-    return float(np.median(np.diff(stamps))) if len(stamps) > 1 else np.nan
+    return np.median(np.diff(stamps)) if len(stamps) > 1 else np.nan
 
 
 def numbers_of(cells: pd.Series) -> Floats:

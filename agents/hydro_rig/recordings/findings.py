@@ -71,4 +71,4 @@ def severe_if(condition: object) -> Weight:
 def finding_of(mask: Mask, time: Floats, signal: str, what: str, weight: Weight = Weight.NOTE) -> Finding:
     """A finding about the rows where ``mask`` (n,) is true (at least one); ``time`` (n,), s."""
     begins, ends = runs_of(mask)
-    return Finding(signal, what, weight, float(time[begins[0]]), float(time[ends[0] - 1]), float(mask.mean()))
+    return Finding(signal, what, weight, time[begins[0]], time[ends[0] - 1], mask.mean())

@@ -225,4 +225,4 @@ def _as_stretch(recording: int, windows: Windows, longest: float) -> Stretch:
     if windows.boundary is not None:
         boundary = windows.boundary[chosen]
     joined = (np.concatenate(list(values), axis=1) for values in (signals, boundary))
-    return Stretch(recording, float(windows.begin[chosen[0]]), *joined)
+    return Stretch(recording, windows.begin[chosen[0]], *joined)

@@ -269,7 +269,7 @@ def _spool_after_commands(signals: Floats, config: TaskConfig) -> tuple[float, f
     wanted = spool[2:-1]
     weights, *_ = np.linalg.lstsq(rows, wanted, rcond=None)
     rest = (wanted - rows @ weights).std() / max(wanted.std(), 1e-300)
-    return float(weights[:4].sum()), float(rest)
+    return weights[:4].sum(), rest
 
 
 def _means(values: Floats, step: int) -> Floats:

@@ -35,7 +35,7 @@ class Recording(NamedTuple):
 
     def part(self, first: int, end: int) -> Self:
         """A copy of the rows from ``first`` to before ``end``."""
-        shift = float(self.time[first]) if first < end else 0.0
+        shift = self.time[first] if first < end else 0.0
         return self._replace(
             time=self.time[first:end] - shift,
             signals=self.signals[:, first:end].copy(),
@@ -57,7 +57,7 @@ class Recording(NamedTuple):
             return self
         ends = f"{values[wrong].min():.4g} to {values[wrong].max():.4g} °C"
         what = f"reads {ends}, must be {OIL[0]:g} to {OIL[1]:g} °C and not always 0: counts as not measured"
-        finding = Finding("oil_temperature", what, share=float(wrong.mean()))
+        finding = Finding("oil_temperature", what, share=wrong.mean())
         auxiliary = {**self.auxiliary, "oil_temperature": np.where(wrong, np.nan, values)}
         return self._replace(auxiliary=auxiliary, findings=[*self.findings, finding])
 
@@ -94,13 +94,13 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     findings += [Finding(signal, "was not recorded") for signal in MEASURED if signal not in values]
     known = np.isfinite(stamps)
     if not known.all():
-        share = float(1.0 - known.mean())
+        share = 1.0 - known.mean()
         what = "is missing in some rows, which are left out"
         findings.append(Finding("time", what, severe_if(share > 0.2), share=share))
     time, absent = stamps[known], np.full(len(stamps), np.nan)
     signals = np.array([values.get(signal, absent)[known] for signal in MEASURED])
     auxiliary = {name: values[name][known] for name in AUXILIARY if name in values}
-    begin += float(time[0])
+    begin += time[0]
     time = time - time[0]
     return Recording(source, time, signals, units, findings, auxiliary, begin, differential).with_plausible_oil()
 

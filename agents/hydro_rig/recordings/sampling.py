@@ -263,7 +263,7 @@ def _places(time: Floats, distance: float) -> tuple[Indices, float]:
         error = stamp - clock - jump * distance
         off[row] = abs(error)
         clock = stamp - (1.0 - FOLLOWING) * error
-    return place, float(np.quantile(off, 0.95))
+    return place, np.quantile(off, 0.95)
 
 
 def _add_gaps(place: Indices, time: Floats, distance: float, findings: Findings) -> None:
@@ -275,8 +275,8 @@ def _add_gaps(place: Indices, time: Floats, distance: float, findings: Findings)
         seconds = distance * missing.max()
         longest = f"{seconds:.4g} s" if seconds >= PAUSE else f"{1e3 * seconds:.3g} ms"
         what = f"has {len(gaps)} gaps, the longest of {longest}" if len(gaps) > 1 else f"has a gap of {longest}"
-        begin, end = float(time[gaps[0] - 1]), float(time[gaps[0]])
-        share, many = float(missing.sum()) / (int(place[-1]) + 1), lost > MOST_LOST_ROWS * (lost + len(place))
+        begin, end = time[gaps[0] - 1], time[gaps[0]]
+        share, many = missing.sum() / (place[-1] + 1), lost > MOST_LOST_ROWS * (lost + len(place))
         findings.append(Finding("time", what, severe_if(many), begin, end, share))
 
 

@@ -50,7 +50,7 @@ def time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
     if stamps.isna().mean() > 0.5:
         return None, 0.0
     first = stamps.dropna().iloc[0]
-    return (stamps - first).dt.total_seconds().to_numpy(float).copy(), float(first.timestamp())
+    return (stamps - first).dt.total_seconds().to_numpy(float).copy(), first.timestamp()
 
 
 def with_whole_stamps(table: pd.DataFrame) -> pd.DataFrame:
@@ -77,7 +77,7 @@ def equidistant(stamps: Floats) -> float | None:
     lost = usual > 0.0 and abs(usual / distance - 1.0) > LARGEST_DEVIATION
     if distance < SHORTEST_DISTANCE or lost or high - low > LARGEST_DEVIATION * distance:
         return None
-    return float(distance)
+    return distance
 
 
 def row_distance(time: Floats, period: float) -> float:

@@ -71,8 +71,8 @@ def growth(
     return Growth(
         rate=Interval(*np.quantile(slope / span, QUANTILES)),
         ahead=Interval(*np.quantile(ahead, QUANTILES, method="nearest")),
-        not_before=float(np.quantile(ahead, EARLIEST, method="nearest")),
-        grows=float((slope > 0.0).mean()),
+        not_before=np.quantile(ahead, EARLIEST, method="nearest"),
+        grows=(slope > 0.0).mean(),
         level=Interval(*np.quantile(10.0**level, QUANTILES)),
     )
 

@@ -190,7 +190,7 @@ class AxisWatch:
         """The condition by the alarm and by the causes of the last looks."""
         size = reading._replace(score=reading.score / self._scale, sigma=reading.sigma / self._scale)
         self.memory = self._alarm.update(size, activity, self.memory)
-        named = Cause(int(reading.cause[0]))
+        named = Cause(reading.cause[0])
         if reading.answers[0]:
             self._causes.append("" if named is Cause.NONE else str(reading.fault[0]) or named.in_full)
         if self.memory.alarm[0]:
