@@ -106,7 +106,6 @@ def numba() -> Any:
 
     @typeof_impl.register(Inline)
     def type_of_inline(value: Inline, context: Any) -> Any:
-        del context
         return Merged(value.merged)
 
     return module

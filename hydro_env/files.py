@@ -50,6 +50,10 @@ class Group(BaseModel, metaclass=_Checked):
     def __hash__(self) -> int:
         return hash(repr(self))  # a group may hold mappings
 
+    def changed(self, **fields: Any) -> Self:
+        """A copy with other fields, which are not checked again."""
+        return self.model_copy(update=fields)
+
     def to_yaml(self, path: str | Path) -> None:
         """Write all fields as YAML; reading it gives an equal object."""
         write_yaml(path, self.model_dump(mode="json"))

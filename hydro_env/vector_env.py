@@ -262,7 +262,6 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Singles, Singles, Array
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the worker threads."""
-        del kwargs
         axes = getattr(self, "_axes", None)  # absent if the constructor raised an error
         if axes:
             axes.close()

@@ -15,7 +15,7 @@ from hydro_env.errors import InvalidStateError
 from hydro_env.plant.arrays import functions_of
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parts.valve import spool_pull
-from hydro_env.plant.states import RIGID, STATE_NAMES, VAPOUR_PRESSURE, Structure, state_kind, typical_sizes
+from hydro_env.plant.states import STATE_NAMES, VAPOUR_PRESSURE, Structure, state_kind, typical_sizes
 from hydro_env.types import Floats
 
 _SPOOL, _SPOOL_VELOCITY = (STATE_NAMES.index(name) for name in ("spool_position", "spool_velocity"))
@@ -40,12 +40,7 @@ class Held(NamedTuple):
 
 
 def reference_states(
-    start: Floats,
-    coefficients: Floats,
-    inputs: Floats,
-    sample_time: float,
-    tolerance: float = 1e-10,
-    structure: Structure = RIGID,
+    start: Floats, coefficients: Floats, inputs: Floats, sample_time: float, tolerance: float, structure: Structure
 ) -> Floats:
     """States (n + 1, states) from the one at the start (states,) on, after every sample of held voltages (n,), V.
 

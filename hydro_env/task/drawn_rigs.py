@@ -163,15 +163,14 @@ def drawn_task(config: TaskConfig, law: RigLaw, seed: int) -> TaskConfig:
     task = TaskConfig.model_validate(moved(config, rig) | timing | {"law": None, "command_latency_range": None})
     # A control period is a larger part of a fast rig's pace than of a slow one's; a failure is paid once.
     weights = {name: getattr(task.reward, name) / periods_per_step(task) for name in ("tracking", "effort")}
-    task = task.model_copy(update={"reward": task.reward.model_copy(update=weights)})
+    task = task.changed(reward=task.reward.changed(**weights))
     if not law.preview_paces:
         return task
     own, count, times = pace(task), 0, []
     for paces in law.preview_paces:  # each is at least one period beyond the one before
         count = max(round(paces * own / task.control_period), count + 1)
         times.append(count * task.control_period)
-    references = task.references.model_copy(update={"preview_times": tuple(times)})
-    return task.model_copy(update={"references": references})
+    return task.changed(references=task.references.changed(preview_times=tuple(times)))
 
 
 def rig_tasks(config: TaskConfig) -> tuple[TaskConfig, ...]:

@@ -81,7 +81,7 @@ class Sensors(Group):
         if not isinstance(values, Mapping):
             return values
         return {
-            name: {**cls.model_fields[name].default.model_dump(), **_in_si(name, value)}
+            name: cls.model_fields[name].default.model_dump() | _in_si(name, value)
             if isinstance(value, Mapping) and name in CHANNEL_UNITS
             else value
             for name, value in values.items()

@@ -99,7 +99,6 @@ def common(
     ] = False,
 ) -> None:
     """Options of all commands."""
-    del version
 
 
 def main() -> None:

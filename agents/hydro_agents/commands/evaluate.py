@@ -39,9 +39,7 @@ def evaluate(
     task: Task = None,
     rig: Annotated[
         Path | None,
-        typer.Option(
-            "--rig", metavar="NAME|FILE", help="A rig: a name in `configs/rigs` or a YAML file; or drawn, or a law."
-        ),
+        typer.Option(metavar="NAME|FILE", help="A rig: a name in `configs/rigs` or a YAML file; or drawn, or a law."),
     ] = None,
     period: Period = None,
     latency: Latency = None,
@@ -53,10 +51,7 @@ def evaluate(
     ] = None,
     protocol: Annotated[
         str | None,
-        typer.Option(
-            "--protocol",
-            help="Run a protocol instead: robustness, pauses, quick, leakage, leakage_quick, or a YAML file.",
-        ),
+        typer.Option(help="Run a protocol instead: robustness, pauses, quick, leakage, leakage_quick, or a YAML file."),
     ] = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
@@ -121,7 +116,7 @@ def _evaluate_detectors(head: Path | None, options: "Options") -> None:
     from hydro_agents.evaluation.leak_protocol import LeakProtocol, make_detector
 
     protocol, own = options.read(LeakProtocol), {} if head is None else {"weights": str(head)}
-    detectors = {name: make_detector(choice.model_copy(update=own)) for name, choice in protocol.detectors.items()}
+    detectors = {name: make_detector(choice.changed(**own)) for name, choice in protocol.detectors.items()}
     run_protocol(protocol, detectors, options, LEAKAGE_PAGE, protocol)
 
 
@@ -157,13 +152,13 @@ def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: i
     if options.file is not None:
         protocol, page = options.read(RobustnessProtocol), ROBUSTNESS_PAGE
         study = StudySettings.from_yaml(config_file("studies", config or OPPONENTS))
-        study = study.model_copy(update={"task": protocol.task}).with_gains_of_rig()
+        study = study.changed(task=protocol.task).with_gains_of_rig()
         settings: Group = protocol
     else:
         study = default_study(config, options.task, options.rig, options.period, options.latency)
         if plants is not None:
             changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
-            study = study.model_copy(update={"evaluation": changed})
+            study = study.changed(evaluation=changed)
         if options.rig is not None:
             study = study.with_gains_of_rig()
         protocol, settings = study.evaluation.protocol(study.task, study.title), study

@@ -26,12 +26,11 @@ Seed = Annotated[
 Resume = Annotated[bool, typer.Option("--resume", help="Continue from the results in the output folder.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace earlier results in the output folder.")]
 OverwriteFile = Annotated[bool, typer.Option("--overwrite", help="Replace the file.")]
-Period = Annotated[str | None, typer.Option("--period", metavar="1ms", help="Control period; default: the task's.")]
-Latency = Annotated[str | None, typer.Option("--latency", metavar="0.5ms", help="Of the command; default: the task's.")]
+Period = Annotated[str | None, typer.Option(metavar="1ms", help="Control period; default: the task's.")]
+Latency = Annotated[str | None, typer.Option(metavar="0.5ms", help="Of the command; default: the task's.")]
 Agents = Annotated[
     list[str] | None,
     typer.Option(
-        "--agent",
         metavar="NAME=WHAT",
         help="A controller: module:attribute (an object with predict, or a function or class that makes one from the "
         "task), the path of weights, or a folder `controllers/NAME` of a study. If NAME is a controller of the study, "
@@ -55,7 +54,6 @@ def _rig_file(given: Path | None) -> Path | None:
 Rig = Annotated[
     Path | None,
     typer.Option(
-        "--rig",
         metavar="NAME|FILE",
         callback=_rig_file,
         help="A rig: a name in `configs/rigs` or a YAML file. Default: the study's, or else the paper's.",
@@ -63,9 +61,7 @@ Rig = Annotated[
 ]
 Task = Annotated[
     str | None,
-    typer.Option(
-        "--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file, instead of the study's task."
-    ),
+    typer.Option(metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file, instead of the study's task."),
 ]
 Columns = Annotated[
     Path | None,
@@ -75,14 +71,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instea
 Recording = Annotated[Path, typer.Argument(metavar="RECORDING", help="Measured signals: CSV, Parquet or MAT.")]
 Faults = Annotated[
     list[str] | None,
-    typer.Option(
-        "--fault", metavar="NAME=VALUE", help="A fault, such as valve_null_shift=0.01; repeat the option for several."
-    ),
+    typer.Option(metavar="NAME=VALUE", help="A fault, such as valve_null_shift=0.01; repeat the option for several."),
 ]
 PlantSeed = Annotated[int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Of plant, reference and noise.")]
-OwnTask = Annotated[
-    str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
-]
+OwnTask = Annotated[str | None, typer.Option(metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")]
 Config = Annotated[
     Path | None,
     typer.Option("--config", "-c", metavar="NAME|FILE", help="A study: a name in `configs/studies` or a YAML file."),

@@ -172,7 +172,7 @@ def _controller(study: "StudySettings", what: str, steps: int | None) -> _Part:
     if steps is not None:
         longer = validate(type(entry.settings), {**entry.settings.model_dump(), "total_steps": steps}, "--steps")
         entry = entry.changed(settings=longer)
-        study = study.model_copy(update={"controllers": study.controllers | {name: entry}})
+        study = study.changed(controllers=study.controllers | {name: entry})
     corrected = entry.corrects
     if corrected in study.trained:
         raise ConfigurationError(f"{name} corrects {corrected}, which must be trained first; run hydro study")

@@ -203,7 +203,6 @@ class ClassicalController:
         self, observation: Observation, state: Any = None, episode_start: Mask | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Commands for the observations; see :class:`Controller`."""
-        del deterministic
         batch, single = as_batch(observation, state)
         command, state = self.act(batch, state, episode_start)
         command = np.clip(command, -1.0, 1.0)

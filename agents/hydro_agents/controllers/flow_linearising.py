@@ -39,8 +39,8 @@ class FlowLinearisingGains(Group):
         (0.3, 20.0),
         "1",
         "error beyond which the speed grows with its root, per travel at full speed in a pace",
-        low=1e-3,
-        high=1e4,
+        1e-3,
+        1e4,
     )
     lead: float = gain(0.925, (0.5, 2.0), "1", "of the reference speed, in delays of the damped axis", high=10.0)
     smoothing: float = gain(0.737, (0.1, 2.0), "1", "half width of its mean, in delays", 0.01, 10.0)
@@ -54,19 +54,17 @@ class FlowLinearisingGains(Group):
     damping_filter: float = log_gain(1.56, (0.1, 4.0), "1", "time of its high-pass, in paces", 1e-3, 1e3)
     friction: float = gain(1.1, (0.0, 2.0), "1", "of the data sheet's friction, fed forward at reversals", high=10.0)
     flow_gain_spread: float = log_gain(
-        0.0306, (0.01, 0.5), "1", "uncertainty of the flow gain at the start", low=1e-6, high=10.0
+        0.0306, (0.01, 0.5), "1", "uncertainty of the flow gain at the start", 1e-6, 10.0
     )
     flow_gain_memory: float = log_gain(
-        5.13, (0.3, 10.0), "s", "time in which the flow gain returns to the data sheet's", low=1e-3, high=1e6
+        5.13, (0.3, 10.0), "s", "time in which the flow gain returns to the data sheet's", 1e-3, 1e6
     )
     leak_spread: float = log_gain(0.952, (0.1, 20.0), "l/min at 100 bar", "uncertainty of the leak", 1e-6, 1e3)
     leak_memory: float = log_gain(13.1, (1.0, 60.0), "s", "time in which the leak returns to 0", 1e-3, 1e6)
-    offset_spread: float = log_gain(
-        0.00216, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", low=1e-9, high=10.0
-    )
+    offset_spread: float = log_gain(0.00216, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", 1e-9, 10.0)
     offset_memory: float = log_gain(3.27, (0.1, 5.0), "s", "time in which the offset returns to 0", 1e-3, 1e6)
     motion_spread: float = log_gain(
-        0.000494, (1e-5, 0.03), "√s", "uncertainty of the motion, per full speed", low=1e-9, high=10.0
+        0.000494, (1e-5, 0.03), "√s", "uncertainty of the motion, per full speed", 1e-9, 10.0
     )
 
 

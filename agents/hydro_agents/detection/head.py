@@ -190,8 +190,7 @@ class LeakageHead:
         times = self.settings.task.control_period / config.control_period
         sizes = self.settings.window, self.settings.longest
         window, longest = (max(round(size * times), SHORTEST_WINDOW) for size in sizes)
-        changes = {"task": config, "window": window, "longest": longest}
-        return LeakageHead(self.tensors, self.settings.model_copy(update=changes))
+        return LeakageHead(self.tensors, self.settings.changed(task=config, window=window, longest=longest))
 
     def predict(
         self,
@@ -205,7 +204,6 @@ class LeakageHead:
         They are NaN until a whole window of observations is known, and are then updated :data:`UPDATES_PER_WINDOW`
         times per window. The arguments are those of a controller (:class:`~hydro_agents.controllers.base.Controller`).
         """
-        del deterministic
         batch, single = as_batch(observation, state)
         if state is None:
             nothing = np.full((len(batch), len(LeakageEstimate._fields)), np.nan)

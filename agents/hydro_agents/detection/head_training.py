@@ -203,4 +203,4 @@ def calibrated(
     for number in range(GROUPS):
         tensors["widening"][number] = distances(found, size, group == number)
     threshold = min(float(tensors["thresholds"][0]), 1.0)
-    return LeakageHead(tensors, head.settings.model_copy(update={"threshold": threshold}))
+    return LeakageHead(tensors, head.settings.changed(threshold=threshold))

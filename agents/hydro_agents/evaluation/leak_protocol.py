@@ -134,10 +134,6 @@ class LeakProtocol(Protocol[LeakCondition]):
         rig = self.conditions[name].rig
         return self.task if rig is None else task_config(self.task, rig=rig)
 
-    def levels_in(self, name: str) -> tuple[float, ...]:
-        """Leak levels of a condition."""
-        return self.conditions[name].levels or self.levels
-
     def cases_in(self, name: str, level: float, count: int, validation: bool = False) -> Cases:
         """The first ``count`` cases of a level; every level and condition has the same plants."""
         condition, task = self.conditions[name], self.tasks[name]
@@ -178,7 +174,7 @@ def windows(protocol: LeakProtocol, chosen: Mapping[str, Detector]) -> Iterator[
 def _cells(protocol: LeakProtocol, name: str, reader: str, detector: Detector, samples: int) -> Iterator[Cell]:
     condition, choice, digest = protocol.conditions[name], protocol.detectors[reader], fingerprint(detector)
     count = max(round(condition.share * choice.windows), 1)
-    groups = [(level, count, False) for level in protocol.levels_in(name)]
+    groups = [(level, count, False) for level in condition.levels or protocol.levels]
     if name == protocol.base:
         groups.append((HEALTHY, choice.validation_windows, True))
     for level, number, validation in groups:

@@ -142,7 +142,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
         condition = self.conditions[name]
         if condition.families == ("user",):
             alone = merged(condition.task, {"references": {"weights": {"user": 1.0}}})
-            condition = condition.model_copy(update={"task": alone})
+            condition = condition.changed(task=alone)
         return condition.task_on(self.task, f"conditions.{name}")
 
     def cases_in(self, name: str) -> pd.DataFrame:

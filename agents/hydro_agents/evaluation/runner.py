@@ -125,7 +125,7 @@ def tables_of(protocol: Protocol[Any]) -> dict[str, TableFunction]:
     """Tables of a protocol by name: the rows of its jobs, then those that are made of them."""
     module = import_module(f"{__package__}.{_MODULES[protocol.kind]}").__name__
     rows = {name: methodcaller("part", name) for name in protocol.parts}
-    return {**rows, **_TABLES[__name__], **_TABLES[module]}
+    return rows | _TABLES[__name__] | _TABLES[module]
 
 
 def run(
@@ -181,7 +181,7 @@ def collect(
         if own and told[cell.participant, cell.condition][0] == DONE:
             metrics = [answer.metrics for answer in own]
             own_columns = {name: np.concatenate([each[name] for each in metrics]) for name in metrics[0]}
-            frames.setdefault(cell.table, []).append(pd.DataFrame({**cell.known, **own_columns}))
+            frames.setdefault(cell.table, []).append(pd.DataFrame(cell.known | own_columns))
     rows = {name: pd.concat(each, ignore_index=True) for name, each in frames.items()}
     columns = [who, "condition", "status", "message"]
     return rows, pd.DataFrame([(*place, *what) for place, what in told.items()], columns=columns)

@@ -76,10 +76,6 @@ class ControllerEntry(Group):
         """Its trainer; ``None`` for a controller that needs no training."""
         return trainer(self.kind)
 
-    def changed(self, **fields: Any) -> "ControllerEntry":
-        """The entry with other fields."""
-        return self.model_copy(update=fields)
-
 
 class StudySettings(Group):
     """A study: task, controllers, training and evaluation. ``configs/studies`` holds examples."""
@@ -238,7 +234,7 @@ class StudySettings(Group):
                 if entry in controllers.values():
                     continue
             controllers[name] = entry
-        return self.model_copy(update={"controllers": controllers})
+        return self.changed(controllers=controllers)
 
     def with_its_sensors(self) -> "StudySettings":
         """The study without the classical controllers that read an absent sensor, and without what corrects them.
@@ -262,7 +258,7 @@ class StudySettings(Group):
                 tell_left_out(f"{name}: {error}")
         if not controllers:
             raise ConfigurationError("no controller works with the sensors of this rig")
-        return self.model_copy(update={"controllers": controllers})
+        return self.changed(controllers=controllers)
 
 
 def tell_left_out(what: object) -> None:
@@ -294,7 +290,7 @@ def default_study(
     if rig is not None:
         changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
         changes["controllers"] = {name: _begun(entry) for name, entry in study.controllers.items()}
-    study = study.model_copy(update=changes).with_its_sensors()
+    study = study.changed(**changes).with_its_sensors()
     study.check(path or "study")
     return study
 

@@ -96,13 +96,13 @@ def _with_gains(study: StudySettings, folder: Path, seed: int, display: Progress
     """The study with gains in place of the tuning of its controllers; those of the folder, if it has them."""
     file = folder / TUNED_FILE
     if file.exists():
-        return study.model_copy(update={"controllers": StudySettings.from_yaml(file).controllers})
+        return study.changed(controllers=StudySettings.from_yaml(file).controllers)
     controllers = dict(study.controllers)
     for name in study.tuned:
         own = folder / "controllers" / name / GAINS_FILE
         gains = tune_controller(study, name, own, folder, seed, display).gains
         controllers[name] = controllers[name].changed(settings=gains, tune=None)
-    study = study.model_copy(update={"controllers": controllers})
+    study = study.changed(controllers=controllers)
     write_yaml(file, study.model_dump(mode="json"))
     return study
 

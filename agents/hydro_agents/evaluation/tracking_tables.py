@@ -76,7 +76,7 @@ def seeds(results: Results) -> Rows:
             grid = Grid(pd.concat([first, own], ignore_index=True))
             row = grid.compare(controller, baseline, grid.all_plants, grid.all_situations)
             known = {"controller": controller, "against": baseline, "training_seed": seed}
-            yield {**known, **row, "failures": int(own["failed"].sum())}
+            yield known | row | {"failures": int(own["failed"].sum())}
 
 
 @table("ranking")

@@ -13,8 +13,8 @@ import sys
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Generator, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -39,14 +39,12 @@ Columns = dict[str, Array]  # numbers by name, arrays of any shape
 Report = Callable[[str, int, int], None]  # called with phase, number of finished jobs, and their total
 
 
-@contextmanager
-def workers(jobs: int | None) -> Iterator[None]:
+def workers(jobs: int | None) -> parallel_config:
     """Run all jobs of a block in some processes of this machine; ``None``: one per core.
 
     Ctrl-C is left to this process.
     """
-    with parallel_config("loky", n_jobs=jobs or cpu_count(), initializer=signal, initargs=(SIGINT, SIG_IGN)):
-        yield
+    return parallel_config("loky", n_jobs=jobs or cpu_count(), initializer=signal, initargs=(SIGINT, SIG_IGN))
 
 
 class JobResult(NamedTuple):

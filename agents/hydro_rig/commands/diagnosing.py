@@ -10,18 +10,14 @@ import typer
 from hydro_agents.commands.options import Columns, Json, Output, Overwrite, OwnTask, Recording, Rig, command_line, say
 
 FleetFile = Annotated[
-    Path | None,
-    typer.Option("--fleet", metavar="FILE", help="YAML of all axes: their rigs, maps, oils and limits; nothing else."),
+    Path | None, typer.Option(metavar="FILE", help="YAML of all axes: their rigs, maps, oils and limits; nothing else.")
 ]
 OilGrade = Annotated[
-    str | None,
-    typer.Option("--oil", metavar="GRADE", help="ISO VG grade, or mm²/s at 40 and 100 °C: 46/8.1; default: 46."),
+    str | None, typer.Option(metavar="GRADE", help="ISO VG grade, or mm²/s at 40 and 100 °C: 46/8.1; default: 46.")
 ]
 Limit = Annotated[
     float | None,
-    typer.Option(
-        "--limit", min=1e-3, max=100.0, help="Leak that is too much, l/min at 100 bar and 40 °C; default: by the rig."
-    ),
+    typer.Option(min=1e-3, max=100.0, help="Leak that is too much, l/min at 100 bar and 40 °C; default: by the rig."),
 ]
 
 

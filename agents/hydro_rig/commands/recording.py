@@ -24,8 +24,7 @@ def record(
     task: OwnTask = None,
     rig: Rig = None,
     controller: Annotated[
-        str,
-        typer.Option("--controller", help="A kind (pid, ppo, …), module:attribute, or the path of weights or gains."),
+        str, typer.Option(help="A kind (pid, ppo, …), module:attribute, or the path of weights or gains.")
     ] = "pid",
     leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar; default: drawn.")] = None,
     fault: Faults = None,
@@ -81,9 +80,7 @@ def identify(
     ],
     rig: Annotated[
         Path,
-        typer.Option(
-            "--rig", metavar="NAME|FILE", help="The rig file; its `randomisation` holds a range for each unknown."
-        ),
+        typer.Option(metavar="NAME|FILE", help="The rig file; its `randomisation` holds a range for each unknown."),
     ],
     columns: Annotated[
         list[str] | None,

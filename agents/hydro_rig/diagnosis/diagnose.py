@@ -214,9 +214,9 @@ def change_of(before: Diagnosis, after: Diagnosis, oil: Oil) -> Change:
             return Change(None, f"cannot tell what has changed: {when}: {one.verdict.why}")
         sizes.append(referred(one.verdict.leak, oil, one.temperature))
     old, new = sizes
-    fall = old.value - new.value
-    low = fall - np.hypot(old.value - old.low, new.high - new.value)
-    high = fall + np.hypot(old.high - old.value, new.value - new.low)
+    fall = float(old.value - new.value)
+    low = fall - float(np.hypot(old.value - old.low, new.high - new.value))
+    high = fall + float(np.hypot(old.high - old.value, new.value - new.low))
     what = "cannot tell whether the leak has changed"
     if low > 0.0:
         what = "the leak has fallen"

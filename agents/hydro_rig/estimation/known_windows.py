@@ -174,7 +174,7 @@ def leak_bound(protocol: LeakProtocol) -> Iterator[Cell]:
         condition, config = protocol.conditions[name], protocol.tasks[name]
         begin = 0.0 if condition.begins == "at rest" else condition.duration
         times = (begin, condition.duration - config.control_period)
-        for level in protocol.levels_in(name):
+        for level in condition.levels or protocol.levels:
             cases = protocol.cases_in(name, level, protocol.bound_windows)
             arguments = (config, protocol.known_task(name), condition.acting, *times, cases)
             job = Job(bound_of_windows, None, arguments, digest="bound")

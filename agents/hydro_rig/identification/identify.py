@@ -232,7 +232,7 @@ def _with_bent_valve(config: TaskConfig, rig: Rig, parts: Parts) -> tuple[TaskCo
     plant = config.plant.replace(valve={"knee_position": knee, "knee_opening": knee})
     low, high = (knee * factor for factor in BEND)
     ranges = rig.randomisation | {KNEE_OPENING: Distribution(uniform=(low, high))}
-    return config.model_copy(update={"plant": plant}), rig._replace(randomisation=ranges)
+    return config.changed(plant=plant), rig._replace(randomisation=ranges)
 
 
 def _on_one_grid(recordings: Sequence[Recording], config: TaskConfig) -> list[Checked]:

@@ -118,7 +118,7 @@ class ColumnMap(Group):
 
 def read_map(path: Path | None) -> ColumnMap | None:
     """A map from a YAML file, or none; ConfigurationError: the file is unreadable, or not a map."""
-    return None if path is None else validate(ColumnMap, read_yaml(path), str(path))
+    return None if path is None else validate(ColumnMap, read_yaml(path), path)
 
 
 def maps_of(texts: Sequence[str], paths: Sequence[Path]) -> list[ColumnMap | None]:

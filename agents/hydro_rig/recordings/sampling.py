@@ -179,7 +179,7 @@ def on_grid(config: TaskConfig, period: float) -> TaskConfig:
     """The task with the sample time of a log on its own grid, in which a command acts when it is logged."""
     if period == config.control_period:
         return config
-    return config.model_copy(update={"control_period": period, "command_latency": 0.0, "command_latency_range": None})
+    return config.changed(control_period=period, command_latency=0.0, command_latency_range=None)
 
 
 def bridged(samples: Sampled) -> tuple[Sampled, Findings]:

@@ -65,13 +65,13 @@ class Fleet(NamedTuple):
     @classmethod
     def load(cls, path: Path) -> Self:
         """From a file; ConfigurationError: the file, or one that it names, is missing or wrong."""
-        settings = validate(FleetSettings, read_yaml(path), str(path))
+        settings = validate(FleetSettings, read_yaml(path), path)
         usual = settings.model_dump(exclude={"axes"}, exclude_unset=True)
         axes = {}
         for name, own in settings.axes.items():
-            whole = AxisSettings(**{**usual, **own.model_dump(exclude_unset=True)})
+            whole = usual | own.model_dump(exclude_unset=True)
             with at(f"{path}: axes.{name}"):
-                axes[name] = Axis.of(whole, path.parent)
+                axes[name] = Axis.of(AxisSettings(**whole), path.parent)
         return cls(next(iter(axes.values())), axes, str(path))
 
     @classmethod

@@ -36,7 +36,7 @@ class State(StrEnum):
 
 
 SERIOUS = list(State).index  # sorts states
-CODES = {**{State(kind): code for kind, code in EXIT_CODES.items()}, State.UNREAD: 13, State.STALE: 14}
+CODES = {State(kind): code for kind, code in EXIT_CODES.items()} | {State.UNREAD: 13, State.STALE: 14}
 """Exit codes; that of the command is the code of the most serious state of an axis."""
 
 
