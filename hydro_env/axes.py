@@ -123,7 +123,7 @@ class Axes:
         drawn = any(getattr(config.faults, kind).probability > 0.0 for kind in FAULT_KINDS)
         self._is_rare = drawn or weights[RESTING_FROM:USER_FAMILY].any() or config.disturbance.kind != "none"
 
-        self._threads = threads if threads is not None else (os.cpu_count() or 1)
+        self._threads = threads or os.cpu_count() or 1
         self._undivided = len(self._kinds) == 1 and min(self._threads, count // AXES_PER_THREAD) <= 1
         self._pool: ThreadPoolExecutor | None = None
         self._scheduled = False
@@ -224,7 +224,7 @@ class Axes:
         if threads <= 1:
             kernel.loaded(*arguments, actions, 0, count)
             return
-        if self._pool is None:
+        if not self._pool:
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="hydro_env")
         bounds = [count * part // threads for part in range(threads + 1)]
         advance = partial(kernel.loaded, *arguments, actions)

@@ -68,7 +68,7 @@ class AxisEnvironment:
         if state.count not in (1, self._axes.count):
             raise ConfigurationError(f"set_state: the state of {state.count} axes for {self._axes.count}")
         self._axes.set_state(state.arrays)
-        if state.generator is not None and state.count == self._axes.count:
+        if state.generator and state.count == self._axes.count:
             self.np_random.bit_generator.state = deepcopy(state.generator)
         self._history = list(state.history)
         self._seeded = self._begun = True
@@ -104,7 +104,7 @@ class AxisEnvironment:
 
     @spec.setter
     def spec(self, value: EnvSpec | None) -> None:
-        if value is not None:
+        if value:
             kwargs = to_jsonable_python(value.kwargs, fallback=lambda array: array.tolist())
             if any(isinstance(kwargs.get(name), str) for name in NAMED):
                 kwargs = {key: inner for key, inner in kwargs.items() if key not in NAMED}

@@ -201,7 +201,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
             raise ConfigurationError(f"action = {shown(action)}: must be finite, of shape (1,), such as [0.5]")
         self._require_begun("step")
         self._axes.step(command)
-        if self.render_mode is not None:
+        if self.render_mode:
             self._record_frame()
         row = self._axes.numbers[0].tolist()
         return (
@@ -265,7 +265,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
 
     def _record_frame(self) -> None:
         """Add the present position to the drawn curve; a window shows some of them, in real time."""
-        if self.render_mode is None:
+        if not self.render_mode:
             return
         row = self._axes.numbers[0]
         self._history.append((row[_POSITION], row[_REFERENCE]))
@@ -277,13 +277,13 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the axis: an image (height, width, 3) with ``"rgb_array"``, a window with ``"human"``."""
-        if self.render_mode is None:
+        if not self.render_mode:
             gym.logger.warn("render() draws nothing without a render_mode; give one to gym.make")
             return None
         self._require_begun("render")
         from hydro_env.rendering import AxisRenderer
 
-        if self._renderer is None:
+        if not self._renderer:
             self._renderer = AxisRenderer(self.render_mode)
         frame_time = self._periods_per_frame() * self._task.control_period
         return self._renderer.draw(self._axes, self._history, frame_time)

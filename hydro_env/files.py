@@ -184,7 +184,7 @@ def read_yaml(path: str | Path) -> ByName:
     try:
         loader = _Loader(text)
         node = loader.get_single_node()
-        values = loader.construct_document(node) if node is not None else {}
+        values = loader.construct_document(node) if node else {}
     except yaml.MarkedYAMLError as error:
         line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ConfigurationError(f"{path}: not valid YAML{line}: {' '.join(str(error.problem).split())}") from None

@@ -82,13 +82,13 @@ class AxisRenderer:
     def close(self) -> None:
         """Close the window; calling it again does nothing."""
         self._closed = True
-        if self._window is not None:
+        if self._window:
             self._window = None
             self._pygame.display.quit()
 
     def _show(self, frame_time: float) -> None:
         display = self._pygame.display
-        if self._window is None:
+        if not self._window:
             display.init()
             display.set_caption("Hydraulic servo axis")
             self._window = display.set_mode((WIDTH, HEIGHT))

@@ -179,7 +179,7 @@ def rig_tasks(config: TaskConfig) -> tuple[TaskConfig, ...]:
     Raises:
         ConfigurationError: the law can draw no working rig.
     """
-    return (config,) if config.law is None else _drawn_tasks(config, config.law)
+    return _drawn_tasks(config, config.law) if config.law else (config,)
 
 
 @lru_cache(maxsize=8)  # drawing takes some milliseconds per rig

@@ -38,7 +38,7 @@ class Distribution(Group):
 
     @whole_group
     def _consistent(self) -> "Distribution":
-        given = [name for name in FORMS if getattr(self, name) is not None]
+        given = [name for name in FORMS if getattr(self, name)]
         if len(given) != 1:
             raise ValueError(f"needs either 'uniform: [low, high]' or one of {', '.join(FORMS[1:])}")
         low, high = getattr(self, given[0])
@@ -49,7 +49,7 @@ class Distribution(Group):
         if self.times is not None and self.times not in PARAMETER_PATHS:
             guess = did_you_mean(self.times, PARAMETER_PATHS)
             raise ValueError(f"times = {self.times!r} is not a parameter of the plant{guess}")
-        if self.times is not None and self.relative:
+        if self.times and self.relative:
             raise ValueError(f"{given[0]} already multiplies the rig's own value: leave out 'times'")
         if (self.otherwise is None) != (self.otherwise_probability == 0.0):
             raise ValueError("'otherwise' and 'otherwise_probability' belong together")
@@ -58,16 +58,16 @@ class Distribution(Group):
     @property
     def logarithmic(self) -> bool:
         """Whether the draw is log-uniform."""
-        return self.log_uniform is not None or self.log_factor is not None
+        return bool(self.log_uniform or self.log_factor)
 
     @property
     def relative(self) -> bool:
         """Whether the bounds are multiples of the rig's own value."""
-        return self.factor is not None or self.log_factor is not None
+        return bool(self.factor or self.log_factor)
 
     def bounds(self, own: float) -> tuple[float, float]:
         """Lower and upper bound of the draw in SI units, before ``times``, on a rig whose own value is ``own``."""
-        low, high = next(pair for name in FORMS if (pair := getattr(self, name)) is not None)
+        low, high = next(pair for name in FORMS if (pair := getattr(self, name)))
         if not self.relative:
             return low, high
         return (low * own, high * own) if own >= 0.0 else (high * own, low * own)
@@ -162,7 +162,7 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
         own = own_value(plant, path)
         if distribution.relative and math.isinf(own):
             raise ConfigurationError(f"randomisation: {path}: the rig's own value is infinite and has no multiples")
-        if distribution.log_factor is not None and own < 0.0:
+        if distribution.log_factor and own < 0.0:
             raise ConfigurationError(f"randomisation: {path}: log_factor needs a positive value, not {own:g}")
         values = list(distribution.bounds(own))
         if distribution.times:

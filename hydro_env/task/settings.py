@@ -189,7 +189,7 @@ def draws_of(config: TaskConfig) -> Array:
             low,
             high,
             PARAMETER_PATHS.index(d.times) if d.times else -1,
-            d.otherwise if d.otherwise is not None else 0.0,
+            d.otherwise or 0.0,
             d.otherwise_probability,
         )
     return rows

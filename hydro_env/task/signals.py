@@ -145,7 +145,7 @@ def layout_of(config: TaskConfig, law: RigLaw | None = None) -> Array:
 
     With a law the task is that on one of the rigs that the law draws.
     """
-    names, units, scale, limit = observation_layout(config) if law is None else _own_layout(config, law)
+    names, units, scale, limit = _own_layout(config, law) if law else observation_layout(config)
     layout = table(len(scale), LAYOUT)
     layout["limit"] = limit
     layout["preview"][1 : 1 + len(config.preview_samples)] = config.preview_samples

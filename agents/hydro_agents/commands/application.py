@@ -80,7 +80,7 @@ def application(only: str = "") -> typer.Typer:
     for heading, commands in GROUPS.items():
         for name, place in commands.items():
             module, _, function = place.partition(":")
-            if only == name or (not only and find_spec(module.split(".")[0]) is not None):
+            if only == name or (not only and find_spec(module.split(".")[0])):
                 command = getattr(import_module(module), function)
                 text = re.sub(r"docs/(\w+\.md)", lambda found: page(found[1]), inspect.getdoc(command) or "")
                 app.command(name, rich_help_panel=heading, help=text)(command)
@@ -107,7 +107,7 @@ def main() -> None:
     warnings.formatwarning = _warning
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
+        if number and signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
             signal.signal(number, _stop)
     try:
         known = {name for commands in GROUPS.values() for name in commands}
@@ -124,7 +124,7 @@ def main() -> None:
             error.show()
             sys.exit(2)
         message = error.format_message().replace("Value error, ", "").replace("Input should", "must").rstrip(".")
-        command = error.ctx.command_path if error.ctx is not None else "hydro"
+        command = error.ctx.command_path if error.ctx else "hydro"
         _end(2, f"{message}; see {command} --help")
     except HydroError as error:
         _end(2, str(error))
@@ -145,11 +145,11 @@ def main() -> None:
 
 def _prepare_streams() -> None:
     """Escape characters that the terminal cannot show; replace a closed stream by an empty one."""
-    if sys.stdin is None:
+    if not sys.stdin:
         sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        if stream is None:
+        if not stream:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")

@@ -83,7 +83,7 @@ def evaluate(
     from hydro_agents.running.jobs import workers
     from hydro_env.task.rig import law_of
 
-    if rig is not None:
+    if rig:
         law = law_of(rig)
         if law is not None:
             without = {"--config": config, "--protocol": protocol, "--head": head}
@@ -94,12 +94,12 @@ def evaluate(
             return
         rig = config_file("rigs", rig)
     file = None if protocol is None else config_file("protocols", protocol)
-    folder = output or Path("results") / ("evaluate" if file is None else file.stem)
+    folder = output or Path("results") / (file.stem if file else "evaluate")
     options = Options(task, rig, folder, resume, overwrite, file, period, latency)
-    leaks = file is not None and read_yaml(file).get("kind") == "leakage"
+    leaks = file and read_yaml(file).get("kind") == "leakage"
     if not leaks:
         refuse_given({"--head": head}, "belongs to --protocol leakage")
-    if file is not None:
+    if file:
         of_the_file = {"--plants": plants} | ({"--agent": agent, "--config": config} if leaks else {})
         refuse_given(of_the_file, "a protocol takes it from its file")
     with workers(jobs):
@@ -115,7 +115,7 @@ def _evaluate_detectors(head: Path | None, options: "Options") -> None:
     from hydro_agents.commands.protocols import run_protocol
     from hydro_agents.evaluation.leak_protocol import LeakProtocol, make_detector
 
-    protocol, own = options.read(LeakProtocol), {} if head is None else {"weights": str(head)}
+    protocol, own = options.read(LeakProtocol), {"weights": str(head)} if head else {}
     detectors = {name: make_detector(choice.changed(**own)) for name, choice in protocol.detectors.items()}
     run_protocol(protocol, detectors, options, LEAKAGE_PAGE, protocol)
 
@@ -149,20 +149,20 @@ def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: i
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, participants
     from hydro_agents.evaluation.study import StudySettings, default_study
 
-    if options.file is not None:
+    if options.file:
         protocol, page = options.read(RobustnessProtocol), ROBUSTNESS_PAGE
         study = StudySettings.from_yaml(config_file("studies", config or OPPONENTS))
         study = study.changed(task=protocol.task).with_gains_of_rig()
         settings: Group = protocol
     else:
         study = default_study(config, options.task, options.rig, options.period, options.latency)
-        if plants is not None:
+        if plants:
             changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
             study = study.changed(evaluation=changed)
-        if options.rig is not None:
+        if options.rig:
             study = study.with_gains_of_rig()
         protocol, settings = study.evaluation.protocol(study.task, study.title), study
         page = study_page(yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False, allow_unicode=True))
-    controllers = study.with_weights(agents, leave_out=options.file is None)
+    controllers = study.with_weights(agents, leave_out=not options.file)
     tell_rigs(study, controllers)
     run_protocol(protocol, participants(controllers, protocol, study.corrects), options, page, settings)

@@ -28,7 +28,7 @@ class Options(NamedTuple):
 
     def read(self, kind: type[AnyProtocol]) -> AnyProtocol:
         """The protocol of the file, with another task or on another rig if one is given."""
-        assert self.file is not None
+        assert self.file
         protocol = kind.from_yaml(self.file)
         if (self.task, self.rig, self.period, self.latency) == (None,) * 4:
             return protocol
@@ -50,7 +50,7 @@ def run_protocol(protocol: Protocol[Any], chosen: Any, options: Options, page: P
             first).
     """
     output, file, facts = options.output, "evaluation.yaml", facts_of()
-    if options.file is not None:
+    if options.file:
         file, facts = "protocol.yaml", facts_of(file=str(options.file))
     with working_in(output, "evaluate", [file, *page.files], options.resume, options.overwrite) as display:
         write_yaml(output / file, settings.model_dump(mode="json"))

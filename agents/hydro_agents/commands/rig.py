@@ -48,7 +48,7 @@ def new_rig(
     every uncertain one. Check it next with `hydro check-rig`. `--table` writes the files of many rigs and the
     `fleet.yaml` that `hydro watch` and `hydro trend` read, and says what each axis lacks.
     """
-    if table is not None:
+    if table:
         if figures:
             raise ConfigurationError("--table FILE: holds the figures of all axes; give none beside it")
         _write_fleet(table, output or Path("fleet"), overwrite)
@@ -118,7 +118,7 @@ def _write_fleet(table: Path, folder: Path, overwrite: bool) -> None:
 
 def _poor_fit(figures: Figures) -> list[str]:
     fit = curve_fit(figures)
-    if fit is None or fit[-1] <= POOR_FIT:
+    if not fit or fit[-1] <= POOR_FIT:
         return []
     return [f"flow-curve: the rig's own differs from it by up to {100 * fit[-1]:.2g} % of full flow"]
 
@@ -196,10 +196,10 @@ def check_rig(
     """
     from hydro_agents.rigs.check_table import check_to_console
 
-    if output is not None:
+    if output:
         check_new_file(output, overwrite)
     found = check_to_console(rig, period, latency)
-    if output is not None:
+    if output:
         from hydro_agents.rigs.check_page import check_page
         from hydro_agents.running.machine import Origin
 

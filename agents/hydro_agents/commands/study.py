@@ -169,20 +169,20 @@ def _controller(study: "StudySettings", what: str, steps: int | None) -> _Part:
 
     name = _trained(study, what)
     entry = study.controllers[name]
-    if steps is not None:
+    if steps:
         longer = validate(type(entry.settings), {**entry.settings.model_dump(), "total_steps": steps}, "--steps")
         entry = entry.changed(settings=longer)
         study = study.changed(controllers=study.controllers | {name: entry})
     corrected = entry.corrects
     if corrected in study.trained:
         raise ConfigurationError(f"{name} corrects {corrected}, which must be trained first; run hydro study")
-    one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis
+    one_rig = not getattr(entry.settings, "law", None)  # gains of one rig serve no policy for any axis
 
     def work(folder: Path, seed: int, display: "ProgressDisplay") -> None:
         base: Controller | None = None
         if corrected in study.tuned and one_rig:
             base = tune_controller(study, corrected, folder / GAINS_FILE, folder, seed, display)
-        elif corrected is not None:
+        elif corrected:
             base = study.make(corrected)
         train_controller(study, name, folder, seed, base, display)
 
@@ -222,7 +222,7 @@ def _gains(study: "StudySettings", kind: str, steps: int | None) -> _Part:
 
 def _head(study: "StudySettings", agents: dict[str, str]) -> _Part:
     study.leakage_head.check(study.task)
-    named = study.with_weights(agents) if study.leakage_head.law is None else {}
+    named = {} if study.leakage_head.law else study.with_weights(agents)
     tell_rigs(study, named)
 
     def work(folder: Path, seed: int, display: "ProgressDisplay") -> None:

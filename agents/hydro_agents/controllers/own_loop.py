@@ -115,7 +115,7 @@ class OwnLoop:
         observation = np.zeros((1, len(self._layout)), np.float32)
         observe(self._settings, self._layout, self._record, self._reference, observation, self._before)
         command, self._memory = self.controller.predict(observation.copy(), self._memory)
-        if self._head is not None:
+        if self._head:
             observation[0, self._columns[~present[:-1]]] = np.nan
             self.leak, self._watching = self._head.predict(observation, self._watching)
         return float(command[0, 0])

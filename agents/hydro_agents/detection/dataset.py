@@ -84,7 +84,7 @@ class Chunk(NamedTuple):
 
 def rigs_of(config: TaskConfig, settings: HeadTrainingSettings, split: str) -> tuple[TaskConfig, ...]:
     """The task on each rig of a split of the law; without a law the task."""
-    if settings.law is None:
+    if not settings.law:
         return (config,)
     return rig_tasks(task_config(config, law=settings.law.model_dump() | {"split": split, "preview_paces": ()}))
 
@@ -116,7 +116,7 @@ def _chunks(
 ) -> Iterator[tuple[Controller | None, Chunk]]:
     """Groups of runs that are simulated together, each with its controller, if that is one of the study."""
     total = sum(row.share for row in OPERATIONS)
-    usual: Sequence[Controller | str] = controllers if settings.law is None else FOR_ANY_AXIS
+    usual: Sequence[Controller | str] = FOR_ANY_AXIS if settings.law else controllers
     for place, row in enumerate(OPERATIONS):
         all_acting = [row.manner] if row.manner else usual
         for acting in all_acting:
@@ -148,7 +148,7 @@ def simulated(
     plain = ~np.any([*faults.values()], axis=0) & (chunk.leak == "constant")
     usual = np.full(count, noise == 1.0 and chunk.leak != "orifice")
     scale, sheet = leak_scale(config), sheet_of(config, settings.law is not None)
-    rig = np.empty(0, np.float32) if settings.law is None else rig_features(config)
+    rig = rig_features(config) if settings.law else np.empty(0, np.float32)
     faults[EXTERNAL_LEAK] = np.minimum(scale * faults[EXTERNAL_LEAK], fault_limits(EXTERNAL_LEAK)[1])
     labels[:, 0] = leaks > config.leakage.class_bounds[0]
     acting: Any = ACTING[chunk.acting](task, count, seeds[0]) if chunk.acting else controller
@@ -159,7 +159,7 @@ def simulated(
 
     measured, run = measured_run(task, acting, Cases(seeds, scale * leaks, faults=faults))
     signals = measured.astype(np.float32)
-    if moves is not None:
+    if moves:
         signals[:, PRESSURES] += moves.course[:, DRIFTS]
     lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
     parts = []
@@ -171,7 +171,7 @@ def simulated(
             begins[:] = steps - size
         features = features_of(cut(signals[kept], begins, size), sheet)
         features = np.concatenate([features, np.tile(rig, (len(kept), 1))], axis=1)
-        felt = np.zeros(len(kept)) if moves is None else moves.felt(kept, begins, size)
+        felt = moves.felt(kept, begins, size) if moves else np.zeros(len(kept))
         parts.append(LabelledWindows(features, labels[kept], leaks[kept], usual[kept], plain[kept], felt))
     return LabelledWindows.joined(parts)._asdict()
 

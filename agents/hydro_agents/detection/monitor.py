@@ -52,8 +52,8 @@ class HeadDetector:
         at_home = (own.plant, own.control_period) == (task.plant, task.control_period)
         if at_home and not self.head.for_any_axis:
             return self.head
-        if self._moved is None or self._moved[0] != task:
-            general = LeakageHead.load(self._elsewhere) if self._elsewhere is not None else self.head
+        if not self._moved or self._moved[0] != task:
+            general = LeakageHead.load(self._elsewhere) if self._elsewhere else self.head
             if not general.for_any_axis:
                 period = f"a control period of {1e3 * own.control_period:g} ms"
                 other = "another rig" if own.plant != task.plant else period

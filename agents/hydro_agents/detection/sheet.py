@@ -149,7 +149,7 @@ def _middle_and_half(config: TaskConfig, path: str) -> tuple[float, float]:
     """Middle and half width of the range of a parameter, from which episodes draw it."""
     own = own_value(config.plant, path)
     distribution = config.randomisation.get(path)
-    if distribution is None:
+    if not distribution:
         return own, 0.0
     low, high = distribution.bounds(own)
     return 0.5 * (low + high), 0.5 * (high - low)

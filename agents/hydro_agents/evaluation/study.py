@@ -69,7 +69,7 @@ class ControllerEntry(Group):
             training = trainer(kind)
         except ConfigurationError as error:
             raise ValueError(str(error)) from None
-        return given if training is None else training.settings.model_validate(given)
+        return training.settings.model_validate(given) if training else given
 
     @cached_property
     def trainer(self) -> Trainer | None:
@@ -139,15 +139,15 @@ class StudySettings(Group):
 
     def _check_controller(self, name: str) -> None:
         entry, wrong = self.controllers[name], ""
-        if entry.trainer is None:
+        if not entry.trainer:
             load_controller(self.make(name), self.task, name)
-            if entry.corrects is not None:
+            if entry.corrects:
                 wrong = "corrects: only a trained one can correct"
-            elif entry.tune is not None and entry.kind not in CONTROLLERS:
+            elif entry.tune and entry.kind not in CONTROLLERS:
                 wrong = f"tune: only {', '.join(CONTROLLERS)} can be tuned"
-        elif entry.tune is not None:
+        elif entry.tune:
             wrong = "tune: a trained one cannot be tuned"
-        elif getattr(entry.settings, "residual", False) and entry.corrects is None:
+        elif getattr(entry.settings, "residual", False) and not entry.corrects:
             wrong = "is trained as a correction (residual: true): give 'corrects: NAME' of what it corrects"
         if wrong:
             raise ConfigurationError(wrong)
@@ -161,17 +161,17 @@ class StudySettings(Group):
     @property
     def trained(self) -> list[str]:
         """Names of the controllers that are trained."""
-        return [name for name, entry in self.controllers.items() if entry.trainer is not None]
+        return [name for name, entry in self.controllers.items() if entry.trainer]
 
     @property
     def tuned(self) -> list[str]:
         """Names of the classical controllers that are tuned before they take part."""
-        return [name for name, entry in self.controllers.items() if entry.tune is not None]
+        return [name for name, entry in self.controllers.items() if entry.tune]
 
     @property
     def corrects(self) -> dict[str, str]:
         """Names of the controllers that correct another one, and of that one."""
-        return {name: entry.corrects for name, entry in self.controllers.items() if entry.corrects is not None}
+        return {name: entry.corrects for name, entry in self.controllers.items() if entry.corrects}
 
     def with_weights(self, agents: Mapping[str, str], leave_out: bool = False) -> dict[str, Controller]:
         """All controllers ready to act, without any training.
@@ -196,7 +196,7 @@ class StudySettings(Group):
             try:
                 controllers[name] = self._ready(name)
             except ConfigurationError as error:
-                if entry.trainer is None or not leave_out:
+                if not entry.trainer or not leave_out:
                     raise
                 tell_left_out(error)
         for name, what in agents.items():
@@ -207,10 +207,10 @@ class StudySettings(Group):
     def _ready(self, name: str) -> Controller:
         """A controller that needs no training, or the shipped weights, which correct flow linearisation."""
         entry = self.controllers[name]
-        if entry.trainer is None:
+        if not entry.trainer:
             return load_controller(self.make(name), self.task, name)
         corrected = self.controllers.get(entry.corrects or "")
-        ships = entry.kind in SHIPPED_WEIGHTS and corrected is not None and corrected.kind == "flow_linearising"
+        ships = entry.kind in SHIPPED_WEIGHTS and corrected and corrected.kind == "flow_linearising"
         if ships and (entry.settings.law or not entry.settings.lstm_cells):  # those for one rig have no memory
             return load_controller(entry.kind, self.task, name)
         raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
@@ -251,7 +251,7 @@ class StudySettings(Group):
             try:
                 if entry.kind in CONTROLLERS:
                     self.make(name)
-                elif entry.corrects is not None and entry.corrects not in controllers:
+                elif entry.corrects and entry.corrects not in controllers:
                     raise ConfigurationError(f"corrects {entry.corrects}")
                 controllers[name] = entry
             except ConfigurationError as error:

@@ -86,7 +86,7 @@ def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:
     if file.exists():
         before = read_yaml(file)
         changed = next((key for key in TRAINED_BY if before.get(key) != described[key]), None)
-        if changed is not None:
+        if changed:
             made = f"was made with another seed or other settings ('{changed}' differs)"
             raise ConfigurationError(f"{file}: {made}; --overwrite begins anew")
     write_yaml(file, described)
@@ -115,7 +115,7 @@ def try_out(study: StudySettings) -> None:
     """
     cases = Cases(np.array(TRIAL_RUN.take(2)))
     for name, entry in study.controllers.items():
-        if entry.trainer is None:
+        if not entry.trainer:
             with at(f"controllers.{name}"):
                 run_cases(study.task, study.make(name), cases)
 
@@ -126,12 +126,12 @@ def _trained(
     """A controller after its training with one seed; it corrects that of the same seed, if that one is trained too."""
     name, own = label.partition(SEED_MARK)[0], folder / "controllers" / label
     entry = study.controllers[name]
-    assert entry.trainer is not None
+    assert entry.trainer
     if any(own.glob(f"{WEIGHTS}.*")):
         display.say(f"{label}: already trained")
         return load_controller(entry.trainer.load(own / WEIGHTS), study.task, label)
     base = None
-    if entry.corrects is not None:
+    if entry.corrects:
         base = known.get(f"{entry.corrects}{SEED_MARK}{seed}") or known[entry.corrects]
     return train_controller(study, label, own, seed, base, display)
 
@@ -148,7 +148,7 @@ def train_controller(
         KeyboardInterrupt: Ctrl-C; the trainer has written a checkpoint.
     """
     entry = study.controllers[label.partition(SEED_MARK)[0]]
-    assert entry.trainer is not None
+    assert entry.trainer
     resume = any(folder.glob(CHECKPOINTS))
 
     def report(progress: Progress) -> None:
@@ -179,7 +179,7 @@ def tune_controller(
     """
     entry = study.controllers[name]
     budget, given = entry.tune, entry.settings
-    assert budget is not None
+    assert budget
     start = stable_start(study.task, given)
     if getattr(start, "proportional", None) != getattr(given, "proportional", None):
         display.say(f"{name}: its gains are unstable on this rig; the search starts from the figures of the rig")

@@ -366,7 +366,7 @@ def figure_of(axes: Panels) -> Figure:
     """The figure of a panel, or of several."""
     (first, *_) = np.atleast_1d(np.asarray(axes, object))
     figure = first.get_figure(root=True)
-    assert figure is not None
+    assert figure
     return figure
 
 

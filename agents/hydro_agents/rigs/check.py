@@ -226,7 +226,7 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
         at, margin = f"recommended gain, {which}", 20.0 * math.log10(gain / recommended)
         rows.append(("largest quiet gain", f"{which}, {friction}", gain, "1/m", f"quiet, {which}"))
         rows.append(("gain margin", f"{at}, {friction}", margin, "dB", f"gain margin, {which}"))
-        if weak is not None:
+        if weak:
             phase = _figure(weak.loop.phase_margin, recommended)
             rows.append(("phase margin", f"{at}, without friction", phase, "°", f"phase margin, {which}"))
     for here, plant in plants.items():
@@ -267,7 +267,7 @@ def _resonances(task: TaskConfig, place: float, gain: list[Any]) -> list[Row]:
 
 
 def _gain(loop: Weakest | None) -> float | str:
-    return HELD_NOWHERE if loop is None else _figure(float, loop.gain)
+    return _figure(float, loop.gain) if loop else HELD_NOWHERE
 
 
 def _figure(compute: Callable[..., float], *arguments: Any) -> float | str:

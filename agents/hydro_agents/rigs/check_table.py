@@ -133,7 +133,7 @@ def check_to_console(rig: Path | None, period: str | None, latency: str | None) 
         ConfigurationError: the rig is wrong or cannot work, or the timing is impossible.
     """
     given, name = Rig(PlantParameters(), {}, {}, "rig"), "the rig of Kovari (2015)"
-    if rig is not None:
+    if rig:
         given, name = read_rig(rig), rig.name
     task = timed_task(None, rig, period, latency, "check-rig")
     rows = [*check_rig(given.plant, given.source, task), *sensor_rows(given, task)]
@@ -146,7 +146,7 @@ def check_to_console(rig: Path | None, period: str | None, latency: str | None) 
     for line in (f"{name}: {summary}", *warnings):
         console.print(line, soft_wrap=True)
     console.print(facts)
-    unset = [] if rig is None else assumed(read_yaml(rig), given.plant)
+    unset = assumed(read_yaml(rig), given.plant) if rig else []
     if unset:
         said.insert(-1, ("not in the file", f"of the paper's rig, in SI: {'; '.join(unset)}"))  # of the page
         console.print("Not in the file, taken from the paper's rig (SI units):")

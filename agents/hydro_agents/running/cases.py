@@ -206,7 +206,7 @@ def check_predict(controller: Any) -> None:
         what = type(controller).__name__
         raise ControllerError(f"{what} has no method predict(observation, state, episode_start, deterministic)")
     scaling = getattr(controller, "get_vec_normalize_env", lambda: None)()  # of stable-baselines3
-    if scaling is not None and scaling.norm_obs:
+    if scaling and scaling.norm_obs:
         raise ControllerError("VecNormalize scales its observations, predict does not: PolicyController.from_sb3 does")
 
 

@@ -131,7 +131,7 @@ def run_jobs(listed: Mapping[str, Job], folder: Path | None, progress: Report | 
     """
     report = progress or (lambda *_: None)
     stored = {key: load_result(folder, job) for key, job in listed.items()}
-    results = {key: result for key, result in stored.items() if result is not None}
+    results = {key: result for key, result in stored.items() if result}
     mixed = [key for key in listed if key not in results]
     random.Random(0).shuffle(mixed)
     report("jobs", len(results), len(listed))
@@ -199,7 +199,7 @@ def run_here(job: Job, folder: Path | None) -> Columns:
         ConfigurationError: that of the job, or a file cannot be written.
     """
     result = load_result(folder, job)
-    if result is None:
+    if not result:
         result = job.run()
         save_result(folder, job, result)
     if result.error:
@@ -213,7 +213,7 @@ def save_result(folder: Path | None, job: Job, result: JobResult) -> None:
     Raises:
         ConfigurationError: the file cannot be written.
     """
-    if folder is not None and job.digest and not result.error:
+    if folder and job.digest and not result.error:
         content = io.BytesIO()
         np.savez(content, allow_pickle=False, **result.metrics)
         write_whole(folder / JOBS_FOLDER / job.file, content.getvalue())
@@ -221,7 +221,7 @@ def save_result(folder: Path | None, job: Job, result: JobResult) -> None:
 
 def load_result(folder: Path | None, job: Job) -> JobResult | None:
     """Read the result of a job; ``None`` if there is none, or the file is damaged."""
-    if folder is None or not job.digest:
+    if not folder or not job.digest:
         return None
     try:
         with np.load(folder / JOBS_FOLDER / job.file, allow_pickle=False) as stored:

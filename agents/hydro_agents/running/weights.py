@@ -160,7 +160,7 @@ def flat(state: Any, name: str) -> Arrays:
     if hasattr(state, "detach"):
         state = state.detach().cpu().numpy()
     array = np.array(state)
-    if array.dtype.names is not None:
+    if array.dtype.names:
         array = np.frombuffer(array.tobytes(), np.uint8)
     return {name: array}
 

@@ -62,13 +62,13 @@ def diagnose(
     filling, change = Oil.of(oil or "46"), None
     with shown(as_json):
         diagnosis = diagnose_recording(recording, config, mapped, window, windows)
-        if before is not None:
+        if before:
             earlier = diagnose_recording(before, config, mapped, window, windows)
             change = change_of(earlier, diagnosis, filling)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line(), change.line if change else "")
     if as_json:
         facts = in_json(diagnosis)
-        if change is not None:
+        if change:
             facts["change"] = {"line": change.line, "fall": change.fall and change.fall._asdict()}
         lines = [json.dumps(facts, indent=1, ensure_ascii=False)]
     say(*lines)
@@ -205,10 +205,10 @@ def leak_test(
     from hydro_rig.recordings.findings import lines_of
 
     config = task_config(task, rig=rig)
-    files, usual = (pages.PLAN_FILES, "leak_test_plan") if recording is None else (pages.READING_FILES, "leak_test")
+    files, usual = (pages.READING_FILES, "leak_test") if recording else (pages.PLAN_FILES, "leak_test_plan")
     folder = output or Path("results") / usual
     refuse_taken(folder, pages.JOB, files, overwrite)
-    if recording is None:
+    if not recording:
         planned = plan(config, duration, speed and 1e-3 * speed, stop)
         with output_folder(folder, pages.JOB, files, overwrite=overwrite):
             pages.write_plan(folder, planned, command_line())

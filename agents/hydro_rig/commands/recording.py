@@ -50,7 +50,7 @@ def record(
     if family is not None and family not in FAMILIES:
         raise ConfigurationError(f"--family '{family}': must be one of {', '.join(FAMILIES)}")
     check_new_file(output, overwrite)
-    if task is None and rig is not None:
+    if task is None and rig:
         task = "as_given"  # the parameters of the file, without any draw
     usual = task_config(task, rig=rig)
     config = task_config(usual, episode_duration=duration)
@@ -66,7 +66,7 @@ def record(
     told = [f"{output}: {done.rows} rows, {done.duration:g} s, leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"]
     if config.randomisation:
         told.append(f"parameters of the plant drawn by --seed {seed}")
-    if done.failed_at is not None:
+    if done.failed_at:
         told.append(f"the axis failed after {done.failed_at:g} s")
     say("; ".join(told))
 

@@ -88,7 +88,7 @@ def diagnosed(
         if samples.own_clock and (errors > OTHER_CLOCK).any(axis=1).mean() >= 0.5:
             what = "acts between the rows, by another clock than that of the log; record at the control period"
             findings.append(Finding("command", what, Weight.SEVERE))
-    if oil is not None:
+    if oil:
         sizes: Any = (reading.flow_lpm, reading.low_lpm, reading.high_lpm)
         leak: Any = referred(Leak(*sizes), oil, temperature_of(windows))  # the oil warms up in a long recording
         reading = reading._replace(flow_lpm=leak.value, low_lpm=leak.low, high_lpm=leak.high)
@@ -97,8 +97,8 @@ def diagnosed(
     # A balance has no commands: it may decide where the rows do not fit the control period, if nothing else is severe
     # on a grid of their own.
     balance = volume_leak(recording, config)
-    if balance is not None and not (check_recording(recording, config, own_grid=True) if refused else checked).severe:
-        if oil is not None:
+    if balance and not (check_recording(recording, config, own_grid=True) if refused else checked).severe:
+        if oil:
             balance = balance._replace(leak=referred(balance.leak, oil, temperature_of(recording)))
         what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
         findings.append(Finding("flow", what))
@@ -193,7 +193,7 @@ def in_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "verdict": verdict.kind.value,
         "exit_code": EXIT_CODES[verdict.kind],
         "reason": verdict.why,
-        "leak": None if verdict.leak is None else verdict.leak.positive._asdict(),
+        "leak": verdict.leak and verdict.leak.positive._asdict(),
         "windows": len(diagnosis.windows),
         "findings": lines_of(diagnosis.checked.findings),
     }
@@ -210,7 +210,7 @@ def change_of(before: Diagnosis, after: Diagnosis, oil: Oil) -> Change:
     """The leak of one recording minus that of a later one; their errors count as independent."""
     sizes = []
     for when, one in (("before", before), ("after", after)):
-        if one.verdict.leak is None:
+        if not one.verdict.leak:
             return Change(None, f"cannot tell what has changed: {when}: {one.verdict.why}")
         sizes.append(referred(one.verdict.leak, oil, one.temperature))
     old, new = sizes

@@ -146,7 +146,7 @@ def worn_task(config: TaskConfig) -> TaskConfig:
     for path, wear in WORN.items():
         own = own_value(config.plant, path)
         drawn = config.randomisation.get(path, Distribution(uniform=(own, own)))
-        if drawn.times is not None:
+        if drawn.times:
             continue
         low, high = drawn.bounds(own)
         ends = [end if wear.relative else own + end for end in wear.bounds(own)]

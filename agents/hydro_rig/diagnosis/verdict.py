@@ -80,7 +80,7 @@ class Verdict(NamedTuple):
         """The verdict in one line."""
         kind = self.kind
         line = f"{kind}: {self.why}"
-        if self.leak is None or kind is Kind.UNKNOWN:
+        if not self.leak or kind is Kind.UNKNOWN:
             return line
         size = self.leak.text()
         if kind is Kind.LEAK:
@@ -233,7 +233,7 @@ RULES = (severe_finding, other_rig, no_size, leaks, other_fault, both_fit, leaks
 
 def judge(case: Case) -> Verdict:
     """The verdict of the first of :data:`RULES` that applies."""
-    return next(verdict for rule in RULES if (verdict := rule(case)) is not None)
+    return next(verdict for rule in RULES if (verdict := rule(case)))
 
 
 def named_fault(reading: Reading) -> str:

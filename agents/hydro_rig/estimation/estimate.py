@@ -263,7 +263,7 @@ def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
     known = linear.known
     errors = problem.errors or Errors.of_data_sheet(*known.shape[:2])
     covariance = doubtful = linear.covariance()
-    if problem.errors is not None:
+    if problem.errors:
         count, samples = known.sum(axis=2), known.shape[2]
         as_white = problem._replace(errors=errors.as_white(count, samples)).linearised(scaled, directions)
         by_data_sheet = problem._replace(errors=None).linearised(scaled, directions).covariance()

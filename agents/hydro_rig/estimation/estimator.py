@@ -139,7 +139,7 @@ class EstimatorDetector:
         """Estimate unknowns of windows, from rows of another estimate on; ``changes`` are those of the settings."""
         names = windows.unrecorded(tuple(dict.fromkeys(names)))
         first = {}
-        if begin is not None:
+        if begin:
             found, rows = begin
             values = {name: found.value(name)[rows] for name in found.names if name in names}
             first = {name: value for name, value in values.items() if np.isfinite(value).all()}

@@ -38,7 +38,7 @@ class Problem(NamedTuple):
 
     def part(self, windows: Indices) -> "Problem":
         """Some of the windows."""
-        errors = None if self.errors is None else self.errors.part(windows)
+        errors = self.errors and self.errors.part(windows)
         return Problem(self.model.part(windows), self.measured[windows], errors)
 
     def with_more(self, priors: Mapping[str, Prior]) -> "Problem":
@@ -50,7 +50,7 @@ class Problem(NamedTuple):
         measured = self.measured[:, None, :, :samples]
         read = self.model.readings(scaled.reshape(-1, scaled.shape[2]), samples)
         missed = np.where(np.isfinite(measured), measured - read.reshape(*scaled.shape[:2], *measured.shape[2:]), 0.0)
-        return missed if self.errors is None else whitened(missed, np.isfinite(measured[:, 0]), self.errors)
+        return whitened(missed, np.isfinite(measured[:, 0]), self.errors) if self.errors else missed
 
     def linearised(
         self, scaled: Floats, directions: Floats | None = None, samples: int | None = None, central: bool = False
@@ -60,7 +60,7 @@ class Problem(NamedTuple):
         known = np.isfinite(measured)
         read, slopes = self.model.linearise(scaled, directions, samples, central)
         residual, jacobian = np.where(known, measured - read, 0.0), np.where(known[:, None], slopes, 0.0)
-        if self.errors is not None:
+        if self.errors:
             residual, jacobian = (whitened(values, known, self.errors) for values in (residual, jacobian))
         square = (residual**2).sum(axis=2) / np.maximum(known.sum(axis=2), 1)
         weight = np.repeat(np.nan_to_num(1.0 / np.maximum(square, 1.0))[:, :, None], known.shape[2], axis=2)
@@ -253,12 +253,12 @@ def told_to(display: Report | None) -> Iterator[None]:
 @contextmanager
 def shown(quiet: bool = False) -> Iterator[None]:
     """What is told inside the block is shown on the console, unless ``quiet``."""
-    with nullcontext() if quiet else ProgressDisplay() as display, told_to(None if display is None else display.update):
+    with nullcontext() if quiet else ProgressDisplay() as display, told_to(display.update if display else None):
         yield
 
 
 def tell(phase: str, done: int, total: int) -> None:
     """How far a phase is."""
     display = _display.get()
-    if display is not None:
+    if display:
         display(phase, done, total)

@@ -103,7 +103,7 @@ def default_unknowns(config: TaskConfig) -> tuple[str, ...]:
     others = {
         EXTERNAL_LEAKAGE: EXTERNAL_RESISTANCE in drawn,
         "load.external_force": config.disturbance.kind != "none" or config.disturbance.steady_share[1] > 0.0,
-        LATENCY: config.command_latency_range is not None,
+        LATENCY: config.command_latency_range,
         **dict.fromkeys(BIASES, config.sensors.enabled),
         **dict.fromkeys(starts_of(config), True),
     }
@@ -192,7 +192,7 @@ def _of_plant(config: TaskConfig, name: str) -> _Moments:
         low, high = flow_from_resistance(high), flow_from_resistance(low)
         otherwise = None if otherwise is None else flow_from_resistance(otherwise)
     result = _range(low, high, drawn.logarithmic)
-    if drawn.times is not None:
+    if drawn.times:
         result = _product(result, _of_plant(config, drawn.times))
     if otherwise is not None:
         result = _mixture(drawn.otherwise_probability, otherwise, result)

@@ -91,7 +91,7 @@ class Common(NamedTuple):
     def noise(self) -> Floats:
         """White noise of each channel over that of the data sheet, (channels,), where the fit assumes another."""
         errors = self.problem.errors
-        return np.ones(self.problem.measured.shape[1]) if errors is None else errors.white[0]
+        return errors.white[0] if errors else np.ones(self.problem.measured.shape[1])
 
     @property
     def explained(self) -> int:

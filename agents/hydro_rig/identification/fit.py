@@ -118,7 +118,7 @@ def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distr
     Factors multiply the value of the given rig ``plant``; the rig that was ``found`` gives the value of a parameter
     that multiplies the range (``times``).
     """
-    factor = 1.0 if given.times is None else own_value(found, given.times)
+    factor = own_value(found, given.times) if given.times else 1.0
     ends = [factor * end for end in given.bounds(own_value(plant, path))]
     if given.otherwise is not None:
         ends.append(given.otherwise)

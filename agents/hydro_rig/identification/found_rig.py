@@ -80,7 +80,7 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Ranges) -> dict[str, ByName]:
             if given.times:  # a ratio is never below the old one: breakaway stays above Coulomb friction
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
                 low, high = max(low / factor, least), max(high / factor, least)
-            result[path] = {"uniform": [low, high]} | ({} if given.times is None else {"times": given.times})
+            result[path] = {"uniform": [low, high]} | ({"times": given.times} if given.times else {})
     return result
 
 

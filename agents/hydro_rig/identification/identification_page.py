@@ -100,7 +100,7 @@ def held_back(page: Page, found: Identification) -> None:
     page.figure(held_back_axes(worst), f"The held-back part with the largest error: {place_of_part(found, worst)}")
     rows = {}
     for over, test in ((f"{JUDGED_OVER:g} s", found.ahead), ("the whole part", found.whole)):
-        if test is not None:
+        if test:
             shares = ["–" if math.isnan(share) else share_in_words(share) for share in test.share.tolist()]
             rows[over] = [*(number(size, digits=2) for size in sizes_of(test)), *shares]
     frame = pd.DataFrame.from_dict(rows, orient="index", columns=(*ERRORS, *SHARES))
@@ -195,7 +195,7 @@ def as_json(found: Identification, command: str) -> Any:
         "describes": found.describes,
         "verdict": found.verdict(),
         "held_back": {"why": found.parts.reason, "parts": parts, "together": sizes(found.whole)},
-        "over_2_s": None if found.ahead is None else sizes(found.ahead),
+        "over_2_s": found.ahead and sizes(found.ahead),
         "windows": len(fit.misfit),
         "windows_explained": int(fit.explained.sum()),
         "unknowns": unknowns,

@@ -106,19 +106,19 @@ class ColumnMap(Group):
                     f"{name}: column {column.column!r} is already {owners[column.column]}; each signal needs its own"
                 )
             owners[column.column] = name
-        if self.load_pressure is not None and (self.pressure_a or self.pressure_b):
+        if self.load_pressure and (self.pressure_a or self.pressure_b):
             raise ValueError("load_pressure: is pressure a minus b; give it or the two pressures")
         return self
 
     def columns(self) -> dict[str, Column]:
         """The given columns by signal."""
         given = {name: getattr(self, name) for name in ("time", *MEASURED, LOAD_PRESSURE, *AUXILIARY)}
-        return {name: column for name, column in given.items() if column is not None}
+        return {name: column for name, column in given.items() if column}
 
 
 def read_map(path: Path | None) -> ColumnMap | None:
     """A map from a YAML file, or none; ConfigurationError: the file is unreadable, or not a map."""
-    return None if path is None else validate(ColumnMap, read_yaml(path), path)
+    return validate(ColumnMap, read_yaml(path), path) if path else None
 
 
 def maps_of(texts: Sequence[str], paths: Sequence[Path]) -> list[ColumnMap | None]:

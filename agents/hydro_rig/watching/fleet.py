@@ -86,7 +86,7 @@ class Fleet(NamedTuple):
             for name, value in settings.items()
             if value is not None
         }
-        if file is None:
+        if not file:
             return cls(Axis.of(AxisSettings(**given)))
         if given:
             raise ConfigurationError(f"--fleet {file}: holds {', '.join(given)} itself; leave the options out")

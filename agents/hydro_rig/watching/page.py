@@ -57,9 +57,9 @@ def _cells(one: AxisTrend) -> list[str]:
     leak, note, age = "no size", ", ".join(one.states), "no reading"
     if np.isfinite(one.leak.value):
         leak = "{} ({} to {}) of {}".format(*(number(size, digits=2) for size in (*one.leak, one.limit)))
-    if facts["limit_reached"] is not None:
+    if facts["limit_reached"]:
         note = f"limit {facts['limit_reached']['value']}"
-    if facts["last"] is not None:
+    if facts["last"]:
         age = f"{facts['last'][:16].replace('T', ' ')}, {facts['age_days']:.1f} d"
     return [one.condition, leak, note, age]
 

@@ -254,7 +254,7 @@ class FleetWatch:
         """Add a row; the looks that are then due, after what they tell was written."""
         name = row.axis
         axis = self.axes.get(name)
-        if axis is None:
+        if not axis:
             if len(self.axes) >= MOST_AXES:
                 raise ConfigurationError(f"more than {MOST_AXES} axes; --tag names the column or tag of the axis")
             axis = AxisWatch(name, self._fleet.axis(name))
@@ -297,7 +297,7 @@ class FleetWatch:
                     print(f"hydro: left out: {error}", file=sys.stderr)
                     told.add(kind)
                 continue
-            if row is not None and np.isfinite(row.time):
+            if row and np.isfinite(row.time):
                 rows += 1
                 for look in self.add(row):
                     looked = True
@@ -311,7 +311,7 @@ class FleetWatch:
         self._kept[name] = self.axes[name].kept()
         write_text(self._memory_file, json.dumps(self._kept, indent=1))
         best = self._best.get(name)
-        wide = np.inf if best is None else best.leak.high - best.leak.low
+        wide = best.leak.high - best.leak.low if best else np.inf
         if look.leak.high - look.leak.low < wide:  # not of a look without an answer: NaN
             self._best[name] = best = look
         rows = self.table["until"][self.table["axis"] == name]

@@ -128,7 +128,7 @@ class AxisTrend(NamedTuple):
         elif dates:
             text += f", reached about {dates['value']} ({dates['low']} to {dates['high'] or 'later'}), "
             text += f"not before {dates['not_before']}"
-        age = "none" if facts["last"] is None else f"{facts['last'][:10]}, {facts['age_days']:.1f} d ago"
+        age = f"{facts['last'][:10]}, {facts['age_days']:.1f} d ago" if facts["last"] else "none"
         return f"{text}; last reading {age}"
 
 
