@@ -266,12 +266,17 @@ class Reading(NamedTuple):
     @property
     def sized(self) -> Mask:
         """Windows with an answer that gives the size of the leak with an interval, (N,)."""
-        return self.answers & np.isfinite(self.flow_lpm + self.low_lpm + self.high_lpm)
+        return self.answers & np.isfinite(self.sizes).all(axis=0)
+
+    @property
+    def sizes(self) -> Floats:
+        """The leak and the ends of its interval, (3, N), l/min at 100 bar."""
+        return np.stack([self.flow_lpm, self.low_lpm, self.high_lpm])
 
     @property
     def remarks(self) -> list[str]:
         """The reason for no answer of each window in words; empty for an answer."""
-        return [Why(why).word for why in self.why.tolist()]
+        return [Why(why).word for why in self.why]
 
     def part(self, chosen: Indices) -> "Reading":
         """Some of the windows."""

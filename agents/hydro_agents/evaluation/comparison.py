@@ -61,8 +61,8 @@ class Grid:
         self.controllers = cases["controller"].unique().tolist()
         plants = cases[["family", "plant"]].drop_duplicates()
         situations = cases[["condition", "leakage_flow_lpm"]].drop_duplicates()
-        self.family = plants["family"].to_numpy().astype(str)
-        self.condition = situations["condition"].to_numpy().astype(str)
+        self.family = plants["family"].to_numpy(str)
+        self.condition = situations["condition"].to_numpy(str)
         self.leak = situations["leakage_flow_lpm"].to_numpy(float)
         self.all_plants = np.ones(len(plants), bool)
         self.all_situations = np.ones(len(situations), bool)
@@ -103,7 +103,7 @@ class Grid:
             for name in conditions:
                 yield "condition", name, self.all_plants, self.condition == name
         else:
-            for leak in dict.fromkeys(self.leak.tolist()):
+            for leak in dict.fromkeys(self.leak):
                 yield "level", str(leak), self.all_plants, self.leak == leak
         for family in dict.fromkeys(self.family.tolist()):
             yield "family", family, self.family == family, families_under
@@ -141,8 +141,8 @@ class Grid:
         families, conditions = self.family[plants], self.condition[situations]
         return [
             (families == family, conditions == condition)
-            for condition in dict.fromkeys(conditions.tolist())
-            for family in dict.fromkeys(families.tolist())
+            for condition in dict.fromkeys(conditions)
+            for family in dict.fromkeys(families)
         ]
 
 

@@ -114,8 +114,7 @@ def sizes(results: Results) -> Rows:
 def _errors_of_size(frame: pd.DataFrame, level: float) -> ByName:
     """Windows of one cell: errors of their sizes, and how often the interval holds the truth."""
     told = frame[frame["flow_lpm"].notna()]
-    truth, estimate = told["leak_lpm"].to_numpy(), told["flow_lpm"].to_numpy()
-    low, high = told["low_lpm"].to_numpy(), told["high_lpm"].to_numpy()
+    truth, estimate, low, high = told[["leak_lpm", "flow_lpm", "low_lpm", "high_lpm"]].to_numpy().T
     row = {"windows": len(frame), "told": len(told), "rms_log10": np.nan, "median_error_lpm": np.nan}
     if len(told):
         decades = np.log10(np.maximum(estimate, SMALLEST_SIZE) / truth)

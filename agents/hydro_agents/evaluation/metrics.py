@@ -143,7 +143,7 @@ COMPARED = {
 def standstills(reference: Array, period: float) -> list[tuple[int, int]]:
     """Stretches [first, last) of samples on which the reference is constant after it has moved."""
     moving = np.flatnonzero(np.diff(reference) != 0.0) + 1
-    edges = [*moving.tolist(), len(reference)]
+    edges = [*moving, len(reference)]
     shortest = math.ceil(STANDSTILL / period - 1e-9)
     return [(a, b) for a, b in pairwise(edges) if b - a >= shortest]
 
@@ -216,7 +216,7 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
         "mean_error_sensor_mm": 1e3 * np.abs(error - bias).mean(),
         "peak_error_sensor_mm": 1e3 * np.abs(error - bias).max(),
         "steady_state_error_sensor_mm": 1e3 * mean([abs(offset - bias) for offset in offsets]),
-        "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),
+        "valve_travel_per_s": np.sum(np.abs(np.diff(spool))) / (period * len(spool)),
         "reversals_per_s": reversals(command) / (period * len(command)),
         "supply_energy_j": power.sum(dtype=float) * period,
         RETURN: reward.sum(dtype=float),

@@ -158,7 +158,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
 
     def cases_of(self, name: str, table: pd.DataFrame) -> Cases:
         """The cases of a table of :func:`paired` under a condition."""
-        families = table["family"].to_numpy().astype(str)
+        families = table["family"].to_numpy(str)
         return Cases(
             table["seed"].to_numpy(np.int64),
             table["leakage_flow_lpm"].to_numpy(float),

@@ -310,13 +310,11 @@ def draw(
             low, high = factor * own[[f"{value}_low", f"{value}_high"]].to_numpy(float).T
             lengths = np.nan_to_num(np.maximum([middle - low, high - middle], 0.0))
         shift = apart / 72.0 * (index - 0.5 * (len(names) - 1))
-        style: ByName = {"label": name}
-        if own.empty:
-            style["label"] = "_none"
+        label = "_none" if own.empty else name
         if in_rows:
-            made, moved = axes.errorbar(middle, places, xerr=lengths, linestyle="none", **style), (0.0, -shift)
+            made, moved = axes.errorbar(middle, places, xerr=lengths, linestyle="none", label=label), (0.0, -shift)
         else:
-            made, moved = axes.errorbar(places, middle, yerr=lengths, **style), (shift, 0.0)
+            made, moved = axes.errorbar(places, middle, yerr=lengths, label=label), (shift, 0.0)
         for artist in made.get_children():
             artist.set_transform(axes.transData + ScaledTranslation(*moved, scale))
     if in_rows:

@@ -104,7 +104,7 @@ def resting_place(parameters: PlantParameters) -> float:
     low, high = reachable_range(parameters)
     middle = 0.0 if low < 0.0 < high else 0.5 * (low + high)
     held = []
-    for place in (middle, *np.linspace(low, high, 41).tolist()):
+    for place in (middle, *np.linspace(low, high, 41)):
         with suppress(HydroError):
             equilibrium(parameters, place)
             if place == middle:

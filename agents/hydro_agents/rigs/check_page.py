@@ -47,9 +47,8 @@ def check_page(
     page.heading("All figures")
     for group in dict.fromkeys(row.group for row in rows):
         own = [row for row in rows if row.group == group]
-        table = pd.DataFrame({"at": [row.at for row in own], "value": [f"{row:.4g}" for row in own]})
-        table.index = pd.Index([f"{row.quantity}, {row.unit}" for row in own])
-        page.table(table, group)
+        cells = [(row.at, f"{row:.4g}") for row in own]
+        page.table(pd.DataFrame(cells, [f"{row.quantity}, {row.unit}" for row in own], ["at", "value"]), group)
     return page
 
 

@@ -31,10 +31,13 @@ class Interval(NamedTuple):
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
+UNKNOWN = Interval(np.nan, np.nan, np.nan)
+
+
 def share_interval(hits: int, total: int) -> Interval:
     """A share with its 95 % Wilson interval."""
     if total == 0:
-        return Interval(np.nan, np.nan, np.nan)
+        return UNKNOWN
     interval = binomtest(hits, total).proportion_ci(CONFIDENCE, method="wilson")
     return Interval(hits / total, interval.low, interval.high)
 
@@ -53,7 +56,7 @@ def plant_weights(strata: Array, resamples: int = RESAMPLES, seed: int = 0) -> F
     """Draw plants with replacement within each stratum; (resamples + 1, U)."""
     generator = np.random.default_rng(seed)
     weights = np.ones((resamples + 1, len(strata)))
-    for stratum in dict.fromkeys(strata.tolist()):
+    for stratum in dict.fromkeys(strata):
         members = np.flatnonzero(strata == stratum)
         weights[1:, members] = generator.multinomial(len(members), np.full(len(members), 1 / len(members)), resamples)
     return weights

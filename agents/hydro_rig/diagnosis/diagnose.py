@@ -16,7 +16,6 @@ from hydro_agents.detection.detector import Cause, Reading, Why, Windows
 from hydro_agents.running.text import number
 from hydro_env import HydroError, TaskConfig
 from hydro_env.errors import reason
-from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
 from hydro_rig.diagnosis.oil import Oil, referred, temperature_of
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Case, Leak, Limits, Verdict, judge
 from hydro_rig.diagnosis.volume_balance import by_volume, volume_leak
@@ -89,11 +88,10 @@ def diagnosed(
             what = "acts between the rows, by another clock than that of the log; record at the control period"
             findings.append(Finding("command", what, Weight.SEVERE))
     if oil:
-        sizes: Any = (reading.flow_lpm, reading.low_lpm, reading.high_lpm)
-        leak: Any = referred(Leak(*sizes), oil, temperature_of(windows))  # the oil warms up in a long recording
+        leak: Any = referred(Leak(*reading.sizes), oil, temperature_of(windows))  # the oil warms up in a long recording
         reading = reading._replace(flow_lpm=leak.value, low_lpm=leak.low, high_lpm=leak.high)
-    limits, blind = Limits.of(config), bool(np.isnan(recording.signals[[PRESSURE_A, PRESSURE_B]]).all())
-    verdict = judge(Case(findings, reading, limits, residual, blind))
+    limits = Limits.of(config)
+    verdict = judge(Case(findings, reading, limits, residual, not recording.has_pressure))
     # A balance has no commands: it may decide where the rows do not fit the control period, if nothing else is severe
     # on a grid of their own.
     balance = volume_leak(recording, config)
@@ -180,8 +178,7 @@ def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:
     """The reading of each window, one row each; leaks in l/min at 100 bar."""
     windows, reading = diagnosis.windows, diagnosis.reading
     table = pd.DataFrame({"begin_s": windows.begin, "end_s": windows.end}).round(6)
-    sizes = [reading.flow_lpm, reading.low_lpm, reading.high_lpm]
-    table[["leak", "low", "high"]] = np.maximum(sizes, 0.0).round(5).T
+    table[["leak", "low", "high"]] = np.maximum(reading.sizes, 0.0).round(5).T
     return table.assign(counts=reading.answers, fault=reading.fault, remark=reading.remarks)
 
 

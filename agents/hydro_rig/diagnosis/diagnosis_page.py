@@ -13,7 +13,7 @@ from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised
 from hydro_env.files import write_text
-from hydro_env.types import Array, ByName, Floats
+from hydro_env.types import Array, Floats
 from hydro_rig.diagnosis.diagnose import Diagnosis, leak_table
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.identification.identification_page import findings_frame, rig_line
@@ -123,10 +123,18 @@ def draw_leak(axes: Axes, diagnosis: Diagnosis) -> None:
     reading, middle = diagnosis.reading, 0.5 * (windows.begin + windows.end)
     if not len(reading.answers):
         return
-    sizes = np.clip([reading.flow_lpm, reading.low_lpm, reading.high_lpm], LOWEST, HIGHEST)
+    sizes = np.clip(reading.sizes, LOWEST, HIGHEST)
     for counts, face, label in ((reading.answers, ORANGE, "estimator"), (~reading.answers, PAPER, "does not count")):
         chosen = np.isfinite(reading.flow_lpm) & counts
         value, low, high = sizes[:, chosen]
-        style: ByName = {"fmt": "s", "color": ORANGE, "markerfacecolor": face}
-        style["label"] = label if chosen.any() else "_"
-        axes.errorbar(middle[chosen], value, [value - low, high - value], markersize=4.5, linewidth=1.2, **style)
+        axes.errorbar(
+            middle[chosen],
+            value,
+            [value - low, high - value],
+            fmt="s",
+            color=ORANGE,
+            markerfacecolor=face,
+            markersize=4.5,
+            linewidth=1.2,
+            label=label if chosen.any() else "_",
+        )

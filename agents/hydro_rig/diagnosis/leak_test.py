@@ -164,7 +164,7 @@ def commands_of(steps: Sequence[Step], period: float) -> Floats:
     """Openings, one per control period, (T,); each step begins with a ramp from the opening before."""
     ends = np.round(np.cumsum([step.seconds for step in steps]) / period).astype(int)
     openings, before, begin = np.zeros(ends[-1]), 0.0, 0
-    for step, end in zip(steps, ends.tolist(), strict=True):
+    for step, end in zip(steps, ends, strict=True):
         most = RAMP * period * np.arange(end - begin + 1)
         course = before + np.clip(step.opening - before, -most, most)
         openings[begin:end], before, begin = course[:-1], course[-1], end
@@ -280,7 +280,7 @@ def quantities(common: Common) -> Quantities:
     for place, value, error in zip(joint.shared, joint.common, reach, strict=True):
         name = model.names[place]
         if name == LEAKAGE or name in WEAR or name.startswith("valve."):
-            found[name] = Interval(*model.priors[name].value(value + error * np.array([0.0, -1.0, 1.0])).tolist())
+            found[name] = Interval(*model.priors[name].value(value + error * np.array([0.0, -1.0, 1.0])))
     return found
 
 

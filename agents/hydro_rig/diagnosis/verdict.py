@@ -9,6 +9,7 @@ import numpy as np
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why
 from hydro_agents.detection.sheet import leak_scale
+from hydro_agents.running.statistics import UNKNOWN, Interval
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import LeakageDraw
@@ -31,17 +32,13 @@ class Kind(StrEnum):
 EXIT_CODES = {Kind.HEALTHY: 0, Kind.LEAK: 10, Kind.OTHER: 11, Kind.UNKNOWN: 12}  # 2: bad input
 
 
-class Leak(NamedTuple):
+class Leak(Interval):
     """A leak in l/min at 100 bar with its 90 % interval."""
-
-    value: float
-    low: float
-    high: float
 
     @property
     def positive(self) -> Self:
         """Without sizes below zero, for people; NaN stays."""
-        return type(self)(*np.maximum(self, 0.0).tolist())
+        return type(self)(*np.maximum(self, 0.0))
 
     def text(self) -> str:
         """``1.02 [0.98, 1.06] l/min at 100 bar``; the width of the interval sets the number of decimals."""
@@ -49,7 +46,7 @@ class Leak(NamedTuple):
         return "{} [{}, {}] l/min at 100 bar".format(*(number(part, decimals) for part in self.positive))
 
 
-NO_LEAK = Leak(np.nan, np.nan, np.nan)  # no reading
+NO_LEAK = Leak(*UNKNOWN)  # no reading
 
 
 class Limits(NamedTuple):
@@ -206,7 +203,7 @@ def leaks_in_a_part(case: Case) -> Verdict | None:
     if not len(faulty):
         return None
     last = faulty[-1]
-    leak = Leak(reading.flow_lpm[last], reading.low_lpm[last], reading.high_lpm[last])
+    leak = Leak(*reading.sizes[:, last])
     count = f"{len(faulty)} of {int(reading.sized.sum())} windows"
     why = f"the leak past the piston is {case.leak.text()}, but {count} read a faulty one, the last {leak.text()}"
     return case.answer(Kind.UNKNOWN, f"{why}; it may have just begun: record again")
@@ -249,7 +246,7 @@ def combined(reading: Reading) -> tuple[Leak, str]:
     Windows of one axis share its unknown parameters; many windows are therefore no more precise than one. The interval
     is that of a typical window, widened if the windows scatter more than their intervals. NaN: no window gives a size.
     """
-    leak, low, high = (values[reading.sized] for values in (reading.flow_lpm, reading.low_lpm, reading.high_lpm))
+    leak, low, high = reading.sizes[:, reading.sized]
     if not len(leak):
         return NO_LEAK, ""
     change = ""
@@ -262,11 +259,9 @@ def combined(reading: Reading) -> tuple[Leak, str]:
             word = "grew" if after > before else "fell"
             change = f"it {word} from {number(max(before, 0.0), 3)} during the recording"
             leak, low, high = leak[-third:], low[-third:], high[-third:]
-    value = float(np.median(leak))
-    below, above = float(np.median(leak - low)), float(np.median(high - leak))
+    value, below, above = np.median(leak), np.median(leak - low), np.median(high - leak)
     if len(leak) >= 3:
-        scatter = HALF_WIDTH * 1.483 * float(np.median(np.abs(leak - value)))
-        below, above = max(below, scatter), max(above, scatter)
+        below, above = np.maximum([below, above], HALF_WIDTH * 1.483 * np.median(np.abs(leak - value)))
     return Leak(value, value - below, value + above), change
 
 
@@ -275,7 +270,7 @@ def _why_nothing(case: Case) -> str:
     why = case.reading.why
     if not len(why):
         return "the recording is shorter than one window"
-    refused = Counter(why[why != Why.ANSWERED].tolist())
+    refused = Counter(why[why != Why.ANSWERED])
     if not refused:
         return "the answers give the leak no size"
     most = Why(refused.most_common(1)[0][0])

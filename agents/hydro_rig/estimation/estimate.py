@@ -1,6 +1,6 @@
 """Estimates the unknowns of recorded windows: values, uncertainty, and whether the model explains the readings."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -44,7 +44,7 @@ class EstimationSettings(NamedTuple):
 def estimate(
     signals: Floats,
     config: TaskConfig,
-    unknowns: Sequence[str] | None = None,
+    unknowns: Iterable[str] | None = None,
     *,
     priors: Priors | None = None,
     physical: Floats | None = None,
@@ -148,7 +148,7 @@ def two_pressures(signals: Floats, config: TaskConfig) -> Floats:
 def _starts(near: Floats, period: float) -> tuple[Floats, Floats]:
     """Value and slope of each channel at the first sample, (B, channels) each, from a line through a few samples."""
     time = period * np.arange(near.shape[2])
-    weight = np.isfinite(near).astype(float)
+    weight = np.isfinite(near)
     reading = np.nan_to_num(near)
     with np.errstate(invalid="ignore", divide="ignore"):
         total = weight.sum(axis=2)

@@ -9,7 +9,7 @@ a positive quantity is log-normal.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -112,7 +112,7 @@ def default_unknowns(config: TaskConfig) -> tuple[str, ...]:
 
 
 def priors_of(
-    config: TaskConfig, unknowns: Sequence[str] | None = None, priors: Priors | None = None
+    config: TaskConfig, unknowns: Iterable[str] | None = None, priors: Priors | None = None
 ) -> dict[str, Prior]:
     """The prior of each unknown by name, in order: that of the task, unless ``priors`` gives another.
 

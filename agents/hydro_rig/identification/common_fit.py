@@ -125,7 +125,7 @@ def descend(problem: Problem, first: Floats, effort: Effort = ROUGH) -> tuple[Fl
 def common_fit(windows: Windows, config: TaskConfig, priors: Priors) -> Common:
     """Fit windows of one recording, or of several of one axis, together."""
     tell("windows", 0, len(windows))
-    alone = estimate(windows.signals, config, list(priors), settings=ROUGHLY, boundary=windows.boundary)
+    alone = estimate(windows.signals, config, priors, settings=ROUGHLY, boundary=windows.boundary)
     tell("windows", len(windows), len(windows))
     best = _common_fit(windows, config, priors, alone)
     if best.explained < len(windows):
@@ -188,10 +188,10 @@ def _nearby(windows: Windows, config: TaskConfig, found: Common) -> Estimate:
     joint, model = found.joint, found.model
     priors = dict(model.priors)
     spread = np.minimum(np.sqrt(LOOSENED * np.diag(joint.covariance)), 1.0)
-    for place, value, share in zip(joint.shared.tolist(), joint.common, spread.tolist(), strict=True):
+    for place, value, share in zip(joint.shared, joint.common, spread, strict=True):
         own = priors[model.names[place]]
         priors[model.names[place]] = Prior(float(own.value(value)), share * own.deviation, own.logarithmic)
-    near = estimate(windows.signals, config, list(priors), priors=priors, settings=ROUGHLY, boundary=windows.boundary)
+    near = estimate(windows.signals, config, priors, priors=priors, settings=ROUGHLY, boundary=windows.boundary)
     near.scaled[:] = model.prior.scaled(near.values)
     return near
 

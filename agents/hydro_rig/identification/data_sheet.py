@@ -61,7 +61,7 @@ def off_the_sheet(latency: float, rise_time: float, white: Floats, task: TaskCon
     rise_time, usual = max(rise_time, 0.0), task.sensors.pressure_rise_time
     if abs(rise_time - usual) > RISE_TIME_CHANGE:
         odd.append(("pressures", f"rise within {_ms(rise_time)}, and not {_ms(usual)} ({RISE_TIME})"))
-    for name, noise in zip(SENSORS, white.tolist(), strict=True):
+    for name, noise in zip(SENSORS, white, strict=True):
         if not LESS <= noise <= NOISY:
             odd.append((name, f"scatters {number(noise, 1)} times its data sheet"))
     return odd

@@ -68,7 +68,7 @@ def spread_of(joint: Joint, recording: Indices | None = None) -> Spread:
     spread = _spread(joint, joint.information, joint.score)
     if recording is None or len(np.unique(recording)) < 2:
         return spread
-    member = (np.unique(recording)[:, None] == recording).astype(float)  # (recordings, B)
+    member = np.unique(recording)[:, None] == recording  # (recordings, B)
     other = _spread(joint, np.tensordot(member, joint.information, 1), member @ joint.score)
     return Spread(*map(np.maximum, spread, other))
 
@@ -102,7 +102,7 @@ def possible_ends(problem: Problem, joint: Joint, spread: Spread, ends: Floats) 
     middle, count = joint.common[:, None], len(joint.shared)
     bounded = (ends[:, :1] < middle) & (middle < ends[:, 1:]) & np.isfinite(ends).all(axis=1, keepdims=True)
     rows = np.repeat(joint.scaled[:, None], 2 * count + 1, axis=1)
-    for place, unknown in enumerate(joint.shared.tolist()):
+    for place, unknown in enumerate(joint.shared):
         rows[:, 2 * place + 1 : 2 * place + 3, unknown] = np.where(bounded[place], ends[place], middle[place])
     known = np.isfinite(problem.measured)
     square = np.ascontiguousarray((problem.residual(rows) ** 2).sum(axis=3).swapaxes(0, 1))  # (2p + 1, B, channels)
@@ -224,7 +224,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Ranges, recording: Indi
         if flat[row].any():
             value, left = _beside(value, flat[row], prior.scaled(own_value(config.plant, name))), 1.0
             low, high = ends[row]
-        value, low, high = prior.value(np.array([value, low, high])).tolist()
+        value, low, high = prior.value(np.array([value, low, high]))
         if name in (LEAKAGE, EXTERNAL_LEAKAGE):
             high = truncated_end(value, low, high)
         value, low, high = (within_bounds(name, end) for end in (value, low, high))

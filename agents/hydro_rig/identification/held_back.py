@@ -1,7 +1,8 @@
 """The held-back parts of recordings beside a simulation of the identified rig: errors of position, speed, pressures."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -82,11 +83,12 @@ def simulate_held_back(
     measured = signals[:COMMAND]
     (simulated,) = rig.simulated(signals[None], edge[None], count)
     time = period * np.arange(signals.shape[1], dtype=float)
-    moves = np.zeros(len(SENSORS), bool)
-    for row, (values, noise) in enumerate(zip(measured, noise_of(config), strict=True)):
-        moves[row] = np.isfinite(values).any() and np.nanstd(values) >= LEAST_MOTION * noise
+    moves = [
+        np.isfinite(values).any() and np.nanstd(values) >= LEAST_MOTION * noise
+        for values, noise in zip(measured, noise_of(config), strict=True)
+    ]
     forecasts = rig.forecasts(signals, edge)
-    return HeldBack(part.recording, part.begin + first * period, time, measured, simulated, moves, forecasts)
+    return HeldBack(part.recording, part.begin + first * period, time, measured, simulated, np.array(moves), forecasts)
 
 
 class _Rig(NamedTuple):
@@ -142,11 +144,8 @@ def _judged(pieces: Sequence[tuple[HeldBack, Floats]]) -> Forecast:
     """How well pieces of parts are simulated; each (2, N, channels, T), measured and simulated."""
     shares, errors = [], []
     for row in range(len(SENSORS)):
-        pairs: list[tuple[Floats, Floats]] = []
-        for part, both in pieces:
-            if part.moves[row]:
-                pairs += zip(*both[:, :, row], strict=True)
-        shares.append(_share(pairs))
+        moving = (zip(*both[:, :, row], strict=True) for part, both in pieces if part.moves[row])
+        shares.append(_share(chain.from_iterable(moving)))
         errors.append(_size([both[1, :, row] - both[0, :, row] for _, both in pieces]))
     speed = _size([part._speed(both[1]) - part._speed(both[0]) for part, both in pieces])
     return Forecast(np.array(shares), np.array(errors), speed)
@@ -159,7 +158,7 @@ def _size(errors: Sequence[Floats]) -> float:
     return math.sqrt(known @ known / len(known)) if len(known) else math.nan
 
 
-def _share(pairs: Sequence[tuple[Floats, Floats]]) -> float:
+def _share(pairs: Iterable[tuple[Floats, Floats]]) -> float:
     """Share of the variance of measured signals that their simulations explain: 1 − sum of square errors over squares.
 
     The squares are those of the measured signal about its mean in each part; −∞ after a failure, NaN without a reading.
@@ -181,7 +180,7 @@ def _first_known(position: Floats, count: int) -> int:
 def sizes_of(errors: Forecast) -> list[float]:
     """Errors of position (mm), speed (mm/s) and both pressures (bar); NaN: none."""
     position, pressures = 1e3 * errors.error[POSITION], 1e-5 * errors.error[[PRESSURE_A, PRESSURE_B]]
-    return [position, 1e3 * errors.speed_error, *pressures.tolist()]
+    return [position, 1e3 * errors.speed_error, *pressures]
 
 
 def errors_in_words(errors: Forecast) -> str:

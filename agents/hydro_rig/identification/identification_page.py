@@ -101,7 +101,7 @@ def held_back(page: Page, found: Identification) -> None:
     rows = {}
     for over, test in ((f"{JUDGED_OVER:g} s", found.ahead), ("the whole part", found.whole)):
         if test:
-            shares = ["–" if math.isnan(share) else share_in_words(share) for share in test.share.tolist()]
+            shares = ["–" if math.isnan(share) else share_in_words(share) for share in test.share]
             rows[over] = [*(number(size, digits=2) for size in sizes_of(test)), *shares]
     frame = pd.DataFrame.from_dict(rows, orient="index", columns=(*ERRORS, *SHARES))
     page.table(frame, "Root mean square error, and share of the variance explained, by the simulated time")
@@ -137,7 +137,7 @@ def unknowns_table(found: Identification) -> pd.DataFrame:
 def place_of_part(found: Identification, part: HeldBack) -> str:
     """Recording and time of a held-back part."""
     name = f"{Path(found.recordings[part.recording].source).name}, " if len(found.recordings) > 1 else ""
-    return f"{name}{part.begin:g} to {part.begin + float(part.time[-1]):.4g} s"
+    return f"{name}{part.begin:g} to {part.begin + part.time[-1]:.4g} s"
 
 
 def identify_to_folder(folder: Path, found: Identification, overwrite: bool, command: str) -> list[str]:

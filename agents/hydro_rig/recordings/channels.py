@@ -56,10 +56,11 @@ def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding],
         found(row, *beyond)
         if signal != "command" and beyond[2] is not Weight.SEVERE:
             values = np.where(bad[row], np.nan, values)
-            lost = _lost(values, samples, signal, config)
+            sensor = getattr(config.sensors, signal)
+            lost = _lost(values, samples, signal, sensor)
             found(row, *lost)
-            found(row, *_saturated(np.where(lost[0], np.nan, values), samples, signal, config))
-            found(row, *_stuck(values, samples, signal, config))
+            found(row, *_saturated(np.where(lost[0], np.nan, values), samples, signal, sensor))
+            found(row, *_stuck(values, samples, signal, sensor, config))
     return [*findings, *_too_low_pressures(samples, config)], bad
 
 
@@ -122,16 +123,14 @@ def _fitting_units(signal: str, size: float, least: float, largest: float, sampl
     """Phrase with the units in which values of this size (SI) would fit the rig; empty if there are none."""
     units = UNITS[signal]
     unit = samples.units.get(signal, next(iter(units)))
-    wanted = (least, 1.2 * largest)
-    fitting = [name for name in units if name != unit and wanted[0] <= size * units[name] / units[unit] <= wanted[1]]
+    fitting = [name for name in units if name != unit and least <= size * units[name] / units[unit] <= 1.2 * largest]
     if not fitting:
         return ""
     return f"; values in {' or '.join(fitting[:2])} instead of {unit} would fit"
 
 
-def _lost(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
+def _lost(values: Floats, samples: Sampled, signal: str, sensor: Sensor) -> Found:
     """Readings that jump to the lower end of the range and back, like those of a broken 4–20 mA loop."""
-    sensor = getattr(config.sensors, signal)
     at_low = (values <= sensor.low + _half_step(sensor)) & ~_under_full_command(samples, signal)
     lost, times = np.zeros(len(values), bool), 0
     beside = np.pad(values, 1, constant_values=np.inf)  # of nothing
@@ -144,8 +143,7 @@ def _lost(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> 
     return lost & (times >= FEWEST_DROPS), what, Weight.FAULT
 
 
-def _saturated(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
-    sensor = getattr(config.sensors, signal)
+def _saturated(values: Floats, samples: Sampled, signal: str, sensor: Sensor) -> Found:
     at_end = _at_end(values, sensor) & ~_under_full_command(samples, signal)
     what = f"is at the end of the sensor's range ({_shown(signal, sensor.low)} to {_shown(signal, sensor.high)})"
     return at_end, what, severe_if(at_end.mean() > MOST_AT_AN_END)
@@ -165,13 +163,12 @@ def _at_end(values: Floats, sensor: Sensor) -> Mask:
     return (values >= sensor.high - step) | (values <= sensor.low + step)
 
 
-def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
+def _stuck(values: Floats, samples: Sampled, signal: str, sensor: Sensor, config: TaskConfig) -> Found:
     """Runs of equal readings while another channel shows that this one must have changed.
 
     Equal readings alone are no fault: an encoder repeats its value while the axis rests, and a position that leaves
     its highest or lowest reading again was at the end of the sensor's range or of the stroke.
     """
-    sensor = getattr(config.sensors, signal)
     same = np.append(False, (np.diff(values) == 0.0) & (np.diff(samples.place) == 1)) & ~_at_end(values, sensor)
     shortest = max(FEWEST, round(SHORTEST / samples.period))
     changes = np.abs(np.diff(values))

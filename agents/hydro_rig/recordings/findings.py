@@ -47,6 +47,11 @@ class Finding(NamedTuple):
 Findings = list[Finding]
 
 
+def severe_of(findings: Iterable[Finding]) -> Findings:
+    """Those that rule out a verdict."""
+    return [finding for finding in findings if finding.weight is Weight.SEVERE]
+
+
 def lines_of(findings: Iterable[Finding]) -> list[str]:
     """The findings in a line each."""
     return [finding.line() for finding in findings]

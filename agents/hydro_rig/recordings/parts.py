@@ -60,11 +60,9 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
         _refuse_useless(samples, source)
     length = _window_length(recordings, sources)
     filled = [bridged(samples) for samples in recordings]
-    commanded, cuts = [], []
-    for samples, _ in filled:
-        windows = cut(samples, length)
-        commanded.append(windows.part(windows.commanded))
-        cuts.append(commanded[-1].part(_shows_position(commanded[-1])))
+    pieces = [cut(samples, length) for samples, _ in filled]
+    commanded = [one.part(one.commanded) for one in pieces]
+    cuts = [one.part(_shows_position(one)) for one in commanded]
     together = sources[0] if len(sources) == 1 else f"{len(sources)} recordings"
     count = sum(map(len, cuts))
     if count < FEWEST_WINDOWS - 1:
@@ -144,9 +142,8 @@ def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], s
     for number, windows in known.items():
         alike.setdefault(np.isfinite(windows.signals).any(axis=(0, 2)).tobytes(), []).append(number)
     apart = {numbers[-1] for numbers in alike.values() if len(numbers) > 1}
-    if apart:
-        return apart, "other recordings than those of the fit"
-    return apart, "the last part of each recording with its share of the motion"
+    parts = "the last part of each recording with its share of the motion"
+    return apart, "other recordings than those of the fit" if apart else parts
 
 
 def _by_amplitude(cuts: Mapping[int, Windows]) -> list[list[int]]:
@@ -224,5 +221,5 @@ def _as_stretch(recording: int, windows: Windows, longest: float) -> Stretch:
     signals, boundary = windows.signals[chosen], np.full((len(chosen), 2, windows.samples), np.nan)
     if windows.boundary is not None:
         boundary = windows.boundary[chosen]
-    joined = (np.concatenate(list(values), axis=1) for values in (signals, boundary))
+    joined = (np.concatenate(values, axis=1) for values in (signals, boundary))
     return Stretch(recording, windows.begin[chosen[0]], *joined)

@@ -26,7 +26,7 @@ from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.estimation.estimate import two_pressures
 from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_set_point
 from hydro_rig.recordings.files import interpolated
-from hydro_rig.recordings.findings import Finding, Findings, Weight, finding_of
+from hydro_rig.recordings.findings import Finding, Findings, Weight, finding_of, severe_of
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, on_grid, sampled
 
@@ -63,7 +63,7 @@ class Checked(NamedTuple):
     @property
     def severe(self) -> Findings:
         """Findings that rule out a verdict."""
-        return [finding for finding in self.findings if finding.weight is Weight.SEVERE]
+        return severe_of(self.findings)
 
 
 def check_recording(recording: Recording, config: TaskConfig, own_grid: bool = False) -> Checked:
@@ -73,8 +73,7 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool = F
     :func:`~hydro_rig.recordings.sampling.sampled`.
     """
     differential = config.sensors.differential_pressure
-    pressures = np.isfinite(recording.signals[[PRESSURE_A, PRESSURE_B]]).any()
-    if pressures and recording.differential != differential:
+    if recording.has_pressure and recording.differential != differential:
         has, map_as = ("two pressures", "load_pressure") if differential else ("a load pressure", "the two pressures")
         rig = f"differential_pressure: {str(differential).lower()}"
         raise ConfigurationError(
@@ -107,10 +106,8 @@ def _within_full_scale(samples: Sampled) -> tuple[Sampled, Findings]:
     signals, most = samples.signals.copy(), size[beyond].max()
     signals[COMMAND] = signals[COMMAND].clip(-1.0, 1.0)
     what = f"is up to {100.0 * most:.4g} % of full scale ({FULL_VOLTAGE * most:.4g} V): taken as full scale"
-    findings = []
-    if most >= 1.0 + ROUNDING:
-        findings.append(finding_of(beyond, samples.time, "command", what))
-    return samples._replace(signals=signals), findings
+    found = [finding_of(beyond, samples.time, "command", what)] if most >= 1.0 + ROUNDING else []
+    return samples._replace(signals=signals), found
 
 
 class TwoBalances(NamedTuple):

@@ -9,6 +9,7 @@ import pandas as pd
 
 from hydro_agents.detection.detector import AUXILIARY
 from hydro_env import ConfigurationError
+from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, numbers_of, read_columns, together
@@ -32,6 +33,11 @@ class Recording(NamedTuple):
     auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (n,), SI
     begin: float = 0.0  # s, stamp of the first row in the file; of dates and times since 1970
     differential: bool = False  # pressure a is pressure a minus b
+
+    @property
+    def has_pressure(self) -> bool:
+        """Whether one pressure was recorded at least."""
+        return bool(np.isfinite(self.signals[[PRESSURE_A, PRESSURE_B]]).any())
 
     def part(self, first: int, end: int) -> Self:
         """A copy of the rows from ``first`` to before ``end``."""

@@ -4,7 +4,7 @@ A log whose rows do not fit the control period, or whose commands keep no fixed 
 loop, is taken on its own grid instead: its rows, or of a fast log about one sample per millisecond.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import COMMAND
 from hydro_env.types import Floats, Indices, Mask
-from hydro_rig.recordings.findings import Finding, Findings, Weight, finding_of, runs_of, severe_if
+from hydro_rig.recordings.findings import Finding, Findings, Weight, finding_of, runs_of, severe_if, severe_of
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.stamps import SHORTEST_DISTANCE, SLOWEST, other_sampling, row_distance, whole_fraction
 
@@ -76,7 +76,7 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
     period = config.control_period
     nothing = np.zeros(0, np.int64), time[:0], rows[:, :0], period, False
     time, rows = _in_order(time, rows, findings)
-    if _severe(findings):
+    if severe_of(findings):
         return nothing
     distance = row_distance(time, period)
     per_period = whole_fraction(distance, period)
@@ -91,12 +91,12 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
     if jitter > JITTER[1] * distance:
         time, kept = _steady(time, distance, findings)
         rows = rows[:, kept]
-        if _severe(findings):
+        if severe_of(findings):
             return nothing
         distance = time[1] - time[0]
         place, _ = _places(time, distance)
     _add_gaps(place, time, distance, findings)
-    if _severe(findings):
+    if severe_of(findings):
         return nothing
     phase = None if own else _phase(place, rows[COMMAND], per_period, distance, config)
     chosen = place % max(per_period, 1) == phase
@@ -106,10 +106,6 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
         return _own_grid(time, rows, place, distance, findings)
     index = (place[chosen] - place[chosen][:1]) // per_period
     return index, time[chosen], rows[:, chosen], period, False
-
-
-def _severe(findings: Sequence[Finding]) -> bool:
-    return any(finding.weight is Weight.SEVERE for finding in findings)
 
 
 def _in_order(time: Floats, rows: Floats, findings: Findings) -> tuple[Floats, Floats]:
@@ -191,7 +187,7 @@ def bridged(samples: Sampled) -> tuple[Sampled, Findings]:
     jumps = np.diff(samples.place)
     short = np.flatnonzero((jumps > 1) & (jumps <= LONGEST_FILL + 1))
     lost = [samples.place[k] + np.arange(1, jumps[k]) for k in short]
-    place = np.sort(np.concatenate([samples.place, *lost])).astype(np.int64)
+    place = np.sort(np.concatenate([samples.place, *lost]))
     at = np.searchsorted(place, samples.place)
 
     signals = _spread(samples.signals, at, len(place))

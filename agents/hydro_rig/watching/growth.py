@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hydro_agents.running.statistics import Interval
+from hydro_agents.running.statistics import UNKNOWN, Interval
 from hydro_env.types import Floats, Mask
 
 QUANTILES = (0.5, 0.05, 0.95)  # of the intervals
@@ -40,7 +40,6 @@ class Growth(NamedTuple):
     level: Interval  # size now
 
 
-UNKNOWN = Interval(np.nan, np.nan, np.nan)
 NO_GROWTH = Growth(UNKNOWN, UNKNOWN, np.nan, np.nan, UNKNOWN)
 
 

@@ -12,6 +12,7 @@ from hydro_agents.running.text import number
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.diagnosis_page import HIGHEST, LOWEST, scale_of_leaks
 from hydro_rig.diagnosis.verdict import Kind
+from hydro_rig.watching.table import SIZES
 from hydro_rig.watching.trend import DAY, AxisTrend, Condition
 
 COLOURS = {Kind.HEALTHY: GREEN, Kind.LEAK: ORANGE, Kind.OTHER: GOLD, Kind.UNKNOWN: GREY}
@@ -66,14 +67,14 @@ def _cells(one: AxisTrend) -> list[str]:
 
 def _sizes(one: AxisTrend) -> Floats:
     """Sizes with the ends of their intervals on the scale of the figure, (readings, 3)."""
-    return one.rows[["size_40", "low_40", "high_40"]].clip(LOWEST, HIGHEST).to_numpy(float)
+    return one.rows[SIZES].clip(LOWEST, HIGHEST).to_numpy(float)
 
 
 def draw_axis(axes: Axes, one: AxisTrend) -> None:
     """Readings with 90 % intervals by verdict, limit, repairs and trend; days since 1970, as figures count them."""
     days, sizes = one.rows["begin"] / DAY, _sizes(one)
     for kind, colour in COLOURS.items():
-        chosen = (one.rows["verdict"] == kind).to_numpy() & np.isfinite(sizes[:, 0])
+        chosen = (one.rows["verdict"] == kind) & np.isfinite(sizes[:, 0])
         if chosen.any():
             value, low, high = sizes[chosen].T
             ends = np.maximum([value - low, high - value], 0.0)

@@ -33,6 +33,7 @@ _EQUALS = re.compile(r"(?<!\\)=")
 _ESCAPED = re.compile(r"\\([ ,=\\\"])")
 MOST_LINES = 10_000  # that wait; the source then waits, too
 PATIENCE = 1.0  # s
+Put = Callable[[str], None]  # takes a line
 
 
 class Row(NamedTuple):
@@ -58,14 +59,14 @@ class _Columns:
                 f"{source}: the map names load_pressure, equidistant or rows_early; hydro watch reads two pressures, "
                 "and rows with their own stamps"
             )
-        self.time = place_of(chosen["time"], "time", headings, source)
-        self.time_unit = unit_of(chosen["time"], "time", headings[self.time], source)[1]
         self.signals = []
-        for row, name in enumerate(SIGNALS):
-            if name in chosen:
-                column, place = chosen[name], place_of(chosen[name], name, headings, source)
-                size = unit_of(column, name, headings[place], source)[1]
-                self.signals.append((row, place, size * column.gain, size * column.offset))
+        for name, column in chosen.items():
+            place = place_of(column, name, headings, source)
+            size = unit_of(column, name, headings[place], source)[1]
+            if name == "time":
+                self.time, self.time_unit = place, size
+            else:
+                self.signals.append((SIGNALS.index(name), place, size * column.gain, size * column.offset))
 
     def values(self, cells: Sequence[str]) -> Floats:
         values = np.full(len(SIGNALS), np.nan)
@@ -100,15 +101,17 @@ class RowReader:
         text = line.strip("\ufeff\r\n ")
         if not text or text.startswith("#"):
             return None
-        if self._headings:
-            return self._of_cells(text)
-        parts = _PARTS.split(text)
-        if self._gathered or "=" in parts[-1 if len(parts) < 3 else 1]:
-            return self._of_protocol(parts)
-        self._separator = max(";\t,", key=text.count)
-        self._headings = [cell.strip().strip('"') for cell in text.split(self._separator)]
-        if self._tag not in self._headings:
-            self._columns_of(ALONE, self._headings)  # names what is missing at once
+        if not self._headings:
+            parts = _PARTS.split(text)
+            if self._gathered or "=" in parts[-1 if len(parts) < 3 else 1]:
+                return self._of_protocol(parts)
+            self._separator = max(";\t,", key=text.count)
+        cells = [cell.strip().strip('"') for cell in text.split(self._separator)]
+        if self._headings and set(cells) != set(self._headings):
+            return self._of_cells(cells)
+        self._headings = cells  # also where another file begins
+        if self._tag not in cells:
+            self._columns_of(ALONE, cells)  # names what is missing at once
         return None
 
     def _columns_of(self, axis: str, headings: Sequence[str]) -> _Columns:
@@ -119,12 +122,8 @@ class RowReader:
             self._columns[key] = _Columns(headings, self._fleet.axis(axis).columns, "rows")
         return self._columns[key]
 
-    def _of_cells(self, text: str) -> Row | None:
-        cells = [cell.strip().strip('"') for cell in text.split(self._separator)]
+    def _of_cells(self, cells: list[str]) -> Row:
         axis = ALONE
-        if set(cells) == set(self._headings):  # another file begins
-            self._headings = cells
-            return None
         if self._tag in self._headings:
             axis = cells[min(self._headings.index(self._tag), len(cells) - 1)]
         if self._separator != ",":
@@ -189,7 +188,7 @@ def in_protocol(measurement: str, axis: str, fields: ByName, time: float) -> str
     return f"{measurement},{TAG}={tag} {','.join(parts)} {round(time / NANOSECOND)}"
 
 
-def lines_of(fill: Callable[[Callable[[str], None]], None]) -> Iterator[str | None]:
+def lines_of(fill: Callable[[Put], None]) -> Iterator[str | None]:
     """The lines that ``fill`` puts from a thread of its own; ``None`` after each second without a line."""
     queue: Queue[str | Exception | None] = Queue(MOST_LINES)
 
@@ -214,13 +213,13 @@ def lines_of(fill: Callable[[Callable[[str], None]], None]) -> Iterator[str | No
         yield line
 
 
-def standard_input(put: Callable[[str], None]) -> None:
+def standard_input(put: Put) -> None:
     """All lines of the standard input."""
     for line in sys.stdin:
         put(line)
 
 
-def broker(address: str) -> Callable[[Callable[[str], None]], None]:
+def broker(address: str) -> Callable[[Put], None]:
     """The lines of all messages of a topic, HOST[:PORT]/TOPIC; the client connects again by itself.
 
     Raises:
@@ -244,7 +243,7 @@ def broker(address: str) -> Callable[[Callable[[str], None]], None]:
 
     client.on_connect = on_connect
 
-    def fill(put: Callable[[str], None]) -> None:
+    def fill(put: Put) -> None:
         def on_message(_client: object, _data: object, message: object) -> None:
             for line in message.payload.decode(errors="replace").splitlines():  # type: ignore[attr-defined]
                 put(line)

@@ -26,7 +26,6 @@ from hydro_env import ConfigurationError
 from hydro_env.errors import reason
 from hydro_env.files import read_json, write_text
 from hydro_env.folders import config_folder
-from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B
 from hydro_env.types import ByName
 from hydro_rig.diagnosis.oil import referred, temperature_of
 from hydro_rig.diagnosis.verdict import NO_LEAK, Kind, Leak, combined
@@ -34,7 +33,7 @@ from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.recordings.channels import stands_still
 from hydro_rig.recordings.columns import MEASURED
-from hydro_rig.recordings.findings import Finding, Weight, lines_of
+from hydro_rig.recordings.findings import Finding, Weight, lines_of, severe_of
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, bridged, cut, on_grid, sampled
@@ -144,15 +143,14 @@ class AxisWatch:
                 samples = sampled(rows.part(first, len(rows.time)), self.task)
         except ConfigurationError as error:
             return self._told(now, Condition.CHECK, str(error))
-        severe = [one for one in (*self._found, *samples.findings) if one.weight is Weight.SEVERE]
-        if severe:
+        if severe := severe_of((*self._found, *samples.findings)):
             condition = Condition.FAILURE if severe[0].signal in self._still else Condition.CHECK
             return self._told(now, condition, severe[0].line())
         windows = self._newest_window(bridged(samples)[0], now)
         if not len(windows):
             return self._told(now, Condition.CHECK, "fewer rows than one window")
         reading = self._detector.read(windows, on_grid(self.task, samples.period))
-        blind = np.isnan(rows.signals[[PRESSURE_A, PRESSURE_B]]).all()  # a faulty seal can then look healthy
+        blind = not rows.has_pressure  # a faulty seal can then look healthy
         temperature = temperature_of(rows)
         leak = referred(combined(reading)[0], self.axis.oil, temperature)
         if leak.high <= self.axis.limit and not blind:

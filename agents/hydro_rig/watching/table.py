@@ -18,8 +18,8 @@ from hydro_env.types import ByName, Floats
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.recordings.files import ENDINGS
 
-SIZES = ("size_40", "low_40", "high_40")
-NUMBERS = (*SIZES, "temperature", "bytes")
+SIZES = ["size_40", "low_40", "high_40"]
+NUMBERS = [*SIZES, "temperature", "bytes"]
 TEXTS = ("time", "until", "axis", "file", "verdict", "reason", "repaired")
 COLUMNS = (*TEXTS[:5], *NUMBERS, *TEXTS[5:])
 """Sizes with the ends of their 90 % intervals in l/min at 100 bar and 40 °C; ``temperature`` of the oil in °C;
@@ -96,7 +96,7 @@ def read_table(path: Path) -> pd.DataFrame:
         if missing := [name for name in COLUMNS if name not in table]:
             raise ValueError(f"has no column '{missing[0]}'")
         table = table.fillna(dict.fromkeys(TEXTS, ""))
-        table[list(NUMBERS)] = table[list(NUMBERS)].astype(float)
+        table[NUMBERS] = table[NUMBERS].astype(float)
         seconds(table["time"]), seconds(table["until"])
         if not set(table["verdict"]) <= set(Kind) or (table[["axis", "file"]] == "").any(axis=None):
             raise ValueError("an axis, a file or a verdict is missing")

@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.detection.detector import HALF_WIDTH
-from hydro_agents.running.statistics import Interval
+from hydro_agents.running.statistics import UNKNOWN, Interval
 from hydro_agents.running.text import number
 from hydro_rig.diagnosis.oil import Oil, common_error
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.watching.fleet import Axis
-from hydro_rig.watching.growth import NO_GROWTH, UNKNOWN, Growth, growth
+from hydro_rig.watching.growth import NO_GROWTH, Growth, growth
 from hydro_rig.watching.table import SIZES, seconds, stamp
 
 DAY = 86400.0  # s
@@ -148,7 +148,7 @@ def trend_of(name: str, rows: pd.DataFrame, axis: Axis, error: str, now: float |
     since = rows if np.isnan(repaired) else rows[rows["begin"] >= repaired]
     found = NO_GROWTH if stale else _growth(since, axis.limit, axis.oil, now / DAY)
     sized = since[since["verdict"].isin([Kind.HEALTHY, Kind.LEAK]) & since["size_40"].notna()]
-    latest = Interval(*sized[list(SIZES)].iloc[-1]) if len(sized) else UNKNOWN
+    latest = Interval(*sized[SIZES].iloc[-1]) if len(sized) else UNKNOWN
     reasons = _reasons(since, axis.limit, latest, found)
     if error:
         reasons[State.UNREAD] = error
@@ -162,7 +162,7 @@ def trend_of(name: str, rows: pd.DataFrame, axis: Axis, error: str, now: float |
         found = NO_GROWTH  # the last reading is far above the trend
     states = sorted(reasons, key=SERIOUS)
     reason = "; ".join(reasons[state] for state in states if reasons[state])
-    leak = Interval(*np.maximum(latest if np.isnan(found.level.value) else found.level, 0.0).tolist())
+    leak = Interval(*np.maximum(latest if np.isnan(found.level.value) else found.level, 0.0))
     return AxisTrend(name, rows, states, reason, found, leak, axis.limit, last, now)
 
 
