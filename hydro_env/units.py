@@ -158,6 +158,6 @@ def quantity(default: float, unit: str, origin: str, low: float, high: float) ->
 Range = tuple[Number, Number]
 
 
-def interval(default: tuple[float, float], unit: str, description: str, low: float, high: float) -> Any:
+def interval(default: tuple[float, float], unit: str, low: float, high: float, description: str = "") -> Any:
     """A pair of rising numbers with its unit and its allowed range, beyond which a value must be a mistake."""
     return Field(default, description=description, json_schema_extra={"unit": unit, "low": low, "high": high})

@@ -37,8 +37,8 @@ class LeakageDraw(Group):
     """Internal leakage of an episode, in l/min at 100 bar across the piston."""
 
     healthy_share: Number = Field(0.25, ge=0.0, le=1.0, description="share of episodes with a healthy seal")
-    healthy_range: Range = interval((0.003, 0.03), "l/min", "at 100 bar; drawn log-uniformly", 1e-6, LEAKAGE_LIMIT)
-    faulty_range: Range = interval((0.1, 4.0), "l/min", "at 100 bar; drawn log-uniformly", 1e-6, LEAKAGE_LIMIT)
+    healthy_range: Range = interval((0.003, 0.03), "l/min", 1e-6, LEAKAGE_LIMIT, "at 100 bar; drawn log-uniformly")
+    faulty_range: Range = interval((0.1, 4.0), "l/min", 1e-6, LEAKAGE_LIMIT, "at 100 bar; drawn log-uniformly")
     class_bounds: tuple[Number, Number, Number] = Field(
         (0.03, 0.3, 1.0), description="l/min at 100 bar; highest of healthy, incipient, moderate; above is severe"
     )
@@ -48,7 +48,7 @@ class LeakageDraw(Group):
         description="constant; a sudden onset; growth (log-linear) from healthy to the end of the episode; "
         "mixed: one of the three, drawn per episode",
     )
-    start_range: Range = interval((0.25, 0.75), "1", "onset or start of growth, as a share of the episode", 0.0, 1.0)
+    start_range: Range = interval((0.25, 0.75), "1", 0.0, 1.0, "onset or start of growth, as a share of the episode")
 
     @whole_group
     def _classes_rise(self) -> "LeakageDraw":
@@ -73,8 +73,8 @@ class References(Group):
     largest_amplitude: Number = quantity(0.10, "m", "farthest from mid-stroke", 1e-3, 5.0)
     speed_share: Number = Field(0.7, gt=0.0, le=1.0, description="of the speed at full opening on that stretch")
     acceleration_limit: Number = quantity(4.0, "m/s²", "of smooth moves and sines", 0.01, 100.0)
-    frequency_range: Range = interval((0.3, 4.0), "Hz", "of sines", 1e-3, 1e3)
-    step_range: Range = interval((0.002, 0.02), "m", "of steps", 1e-6, 10.0)
+    frequency_range: Range = interval((0.3, 4.0), "Hz", 1e-3, 1e3, "of sines")
+    step_range: Range = interval((0.002, 0.02), "m", 1e-6, 10.0, "of steps")
     preview_times: tuple[Number, ...] = Field(
         (0.005, 0.010, 0.020, 0.040), description="s; the observation contains the reference this far ahead"
     )
@@ -127,24 +127,24 @@ class Disturbance(Group):
         "none", description="of the changing force; mixed: step, pulse or sine, drawn per episode"
     )
     share: Number = Field(1.0, ge=0.0, le=1.0, description="of the episodes, with these forces, steady and changing")
-    force_range: Range = interval((200.0, 1000.0), "N", "amplitude; the sign is drawn", 0.0, 1e6)
+    force_range: Range = interval((200.0, 1000.0), "N", 0.0, 1e6, "amplitude; the sign is drawn")
     force_share: Range = interval(
         (0.0, 0.0),
         "1",
-        "amplitude as a share of what the supply gives against it; above 0: instead of force_range",
         0.0,
         1.0,
+        "amplitude as a share of what the supply gives against it; above 0: instead of force_range",
     )
     steady_share: Range = interval(
         (0.0, 0.0),
         "1",
-        "steady force from the start, as a share of what the supply has left against it; sign drawn",
         0.0,
         1.0,
+        "steady force from the start, as a share of what the supply has left against it; sign drawn",
     )
-    start_range: Range = interval((0.2, 0.6), "1", "start as a share of the episode", 0.0, 1.0)
+    start_range: Range = interval((0.2, 0.6), "1", 0.0, 1.0, "start as a share of the episode")
     pulse_duration: Number = quantity(0.05, "s", "of a pulse", 1e-3, 100.0)
-    frequency_range: Range = interval((0.5, 5.0), "Hz", "of a sine", 0.0, 1e3)
+    frequency_range: Range = interval((0.5, 5.0), "Hz", 0.0, 1e3, "of a sine")
 
 
 class TaskConfig(Group):
@@ -179,7 +179,7 @@ class TaskConfig(Group):
     leakage: LeakageDraw = LeakageDraw()
     references: References = References()
     initial_position_range: Range = interval(
-        (-1.0, 1.0), "1", "start, as a share of the range of references on either side of mid-stroke", -1.0, 1.0
+        (-1.0, 1.0), "1", -1.0, 1.0, "start, as a share of the range of references on either side of mid-stroke"
     )
     start: Literal["measured", "actual"] = Field(
         "measured",

@@ -25,7 +25,7 @@ class Fault(Group):
         description="constant; a sudden onset; growth (linear) from none to the end of the episode; mixed: one of the "
         "three, drawn per episode",
     )
-    start_range: Range = interval((0.25, 0.75), "1", "onset or start of growth, as a share of the episode", 0.0, 1.0)
+    start_range: Range = interval((0.25, 0.75), "1", 0.0, 1.0, "onset or start of growth, as a share of the episode")
 
 
 class SensorFault(Fault):
@@ -39,61 +39,61 @@ class SensorFault(Fault):
 class ValveNullShift(Fault):
     """The edges are not centred at the spool's zero; the spool's sensor does not show it."""
 
-    range: Range = interval((0.005, 0.02), "1", "of full stroke; sign drawn", 0.0, 0.5)
+    range: Range = interval((0.005, 0.02), "1", 0.0, 0.5, "of full stroke; sign drawn")
 
 
 class ValveUnderlap(Fault):
     """Worn edges: more oil passes the closed valve."""
 
-    range: Range = interval((0.02, 0.05), "1", "added to the underlap, of full stroke", 0.0, 0.4)
+    range: Range = interval((0.02, 0.05), "1", 0.0, 0.4, "added to the underlap, of full stroke")
 
 
 class ValveFlow(Fault):
     """Worn or clogged edges: more or less oil at the same opening."""
 
-    range: Range = interval((0.1, 0.3), "1", "relative change of the rated flow; sign drawn", 0.0, 0.9)
+    range: Range = interval((0.1, 0.3), "1", 0.0, 0.9, "relative change of the rated flow; sign drawn")
 
 
 class ValveHysteresis(Fault):
     """The drive follows a command only after it has moved by this much (play): hysteresis and threshold."""
 
-    range: Range = interval((0.005, 0.04), "1", "width, as a fraction of full command", 0.0, 1.0)
+    range: Range = interval((0.005, 0.04), "1", 0.0, 1.0, "width, as a fraction of full command")
 
 
 class TankPressure(Fault):
     """A clogged return line."""
 
-    range: Range = interval((2e5, 8e5), "Pa", "added to the tank pressure", 0.0, 5e6)
+    range: Range = interval((2e5, 8e5), "Pa", 0.0, 5e6, "added to the tank pressure")
 
 
 class ExternalLeak(Fault):
     """A worn rod seal: oil from chamber b to the outside."""
 
-    range: Range = interval((0.3, 2.0), "l/min", "at 100 bar", 0.0, 20.0)
+    range: Range = interval((0.3, 2.0), "l/min", 0.0, 20.0, "at 100 bar")
 
 
 class SensorOffset(SensorFault):
     """The reading differs from the true value by a constant."""
 
-    range: Range = interval((0.005, 0.03), "1", "of the sensor's range; sign drawn", 0.0, 1.0)
+    range: Range = interval((0.005, 0.03), "1", 0.0, 1.0, "of the sensor's range; sign drawn")
 
 
 class SensorGain(SensorFault):
     """The reading is a multiple of the true value."""
 
-    range: Range = interval((0.01, 0.05), "1", "relative change; sign drawn", 0.0, 0.9)
+    range: Range = interval((0.01, 0.05), "1", 0.0, 0.9, "relative change; sign drawn")
 
 
 class SensorFreeze(SensorFault):
     """The reading no longer changes."""
 
-    range: Range = interval((1.0, 1.0), "1", "1: the sensor is frozen", 0.0, 1.0)
+    range: Range = interval((1.0, 1.0), "1", 0.0, 1.0, "1: the sensor is frozen")
 
 
 class SensorDropout(SensorFault):
     """Some samples are lost: the sensor reads the lower end of its range, like a broken 4–20 mA loop."""
 
-    range: Range = interval((0.02, 0.2), "1", "share of samples", 0.0, 1.0)
+    range: Range = interval((0.02, 0.2), "1", 0.0, 1.0, "share of samples")
 
 
 class Faults(Group):

@@ -25,21 +25,21 @@ _CYLINDERS: dict[int, tuple[int, ...]] = {
 }
 
 
-def _share(default: float, description: str) -> Any:
-    return quantity(default, "1", f"share of the rigs with {description}", 0.0, 1.0)
+def _share(default: float) -> Any:
+    return quantity(default, "1", "share of the rigs", 0.0, 1.0)
 
 
 class StructureLaw(Group):
     """Which rigs of a law have parts that a nameplate does not tell: bending loads, waves in lines, sharp edges."""
 
-    tip_share: Number = _share(0.0, "a load that bends: a second mass behind a spring")
-    tip_mass: Range = interval((0.2, 0.8), "1", "of the load, behind the spring", 0.01, 0.99)
-    tip_frequency: Range = interval((2.0, 30.0), "Hz", "of the second mass while the piston stands", 0.2, 1e3)
-    tip_damping: Range = interval((0.005, 0.05), "1", "damping ratio of that oscillation", 1e-4, 1.0)
-    wave_share: Number = _share(0.0, "waves in lines of 1 to 6 m")
-    line_length: Range = interval((1.0, 6.0), "m", "of each line with waves", 0.1, 100.0)
-    valve_sensor_share: Number = _share(0.5, "pressure sensors at the valve, among those with waves")
-    sharp_share: Number = _share(0.0, "sharp edges, with the lap that the null flow needs")
+    tip_share: Number = _share(0.0)  # with a load that bends: a second mass behind a spring
+    tip_mass: Range = interval((0.2, 0.8), "1", 0.01, 0.99)  # of the load, behind the spring
+    tip_frequency: Range = interval((2.0, 30.0), "Hz", 0.2, 1e3)  # of the second mass while the piston stands
+    tip_damping: Range = interval((0.005, 0.05), "1", 1e-4, 1.0)  # damping ratio of that oscillation
+    wave_share: Number = _share(0.0)  # with waves in lines of 1 to 6 m
+    line_length: Range = interval((1.0, 6.0), "m", 0.1, 100.0)  # of each line with waves
+    valve_sensor_share: Number = _share(0.5)  # with pressure sensors at the valve, among those with waves
+    sharp_share: Number = _share(0.0)  # with sharp edges, with the lap that the null flow needs
 
     @property
     def any(self) -> bool:
@@ -57,34 +57,34 @@ class RigLaw(Group):
     # The observation contains the reference so many paces ahead; none: at the task's preview_times
     preview_paces: tuple[Number, ...] = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
     cylinders: dict[int, tuple[Whole, ...]] = _CYLINDERS  # mm; bores, and the rods of each
-    stroke_per_bore: Range = interval((3.0, 15.0), "1", "length over bore", 0.5, 100.0)
+    stroke_per_bore: Range = interval((3.0, 15.0), "1", 0.5, 100.0)  # length over bore
     longest_stroke: Number = quantity(1.2, "m", "longer ones are cut", 0.05, 10.0)
     supplies: tuple[Number, ...] = (70.0, 100.0, 120.0, 160.0, 210.0, 250.0)  # bar
     # l/min at 70 bar; of the valves on sale
     rated_flows: tuple[Number, ...] = (5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 250.0)
-    full_speed: Range = interval((0.1, 1.0), "m/s", "for which the valve is chosen", 0.005, 10.0)
-    natural_frequency: Range = interval((10.0, 80.0), "Hz", "of the load on the oil, unless too heavy", 0.5, 1e3)
-    bandwidth: Range = interval((30.0, 150.0), "Hz", "at which the spool lags by 90 degrees", 1.0, 1e3)
-    position_noise: Range = interval((1e-5, 1e-4), "1", "of the stroke", 1e-9, 0.1)
-    position_resolution: Range = interval((1e-6, 4e-5), "1", "of the stroke", 1e-9, 0.1)
-    position_accuracy: Range = interval((1e-4, 1e-3), "1", "of the stroke", 1e-9, 0.1)
+    full_speed: Range = interval((0.1, 1.0), "m/s", 0.005, 10.0)  # for which the valve is chosen
+    natural_frequency: Range = interval((10.0, 80.0), "Hz", 0.5, 1e3)  # of the load on the oil, unless too heavy
+    bandwidth: Range = interval((30.0, 150.0), "Hz", 1.0, 1e3)  # at which the spool lags by 90 degrees
+    position_noise: Range = interval((1e-5, 1e-4), "1", 1e-9, 0.1)  # of the stroke
+    position_resolution: Range = interval((1e-6, 4e-5), "1", 1e-9, 0.1)  # of the stroke
+    position_accuracy: Range = interval((1e-4, 1e-3), "1", 1e-9, 0.1)  # of the stroke
     pressure_ranges: tuple[Number, ...] = (100.0, 160.0, 250.0, 400.0)  # bar; of the sensors
-    pressure_noise: Range = interval((2e-4, 2e-3), "1", "of the range", 1e-9, 0.1)
-    pressure_accuracy: Range = interval((2.5e-3, 1e-2), "1", "of the range", 1e-9, 0.1)
-    double_rod_share: Number = _share(0.15, "a rod on both sides")
-    overlap_share: Number = _share(0.3, "an overlapped spool")
-    overlap: Range = interval((0.01, 0.1), "1", "of full stroke", 1e-6, 0.5)
-    null_flow_share: Number = _share(0.5, "a measured null flow, among those without overlap")
-    null_flow: Range = interval((0.002, 0.03), "1", "of the rated flow", 1e-6, 0.5)
-    ratio_share: Number = _share(0.2, "a 2:1 spool, among cylinders that suit it")
-    weight_share: Number = _share(0.2, "a load that hangs on the rod")
-    line_share: Number = _share(0.3, "lines between valve and cylinder, half of them hoses")
-    line_length: Range = interval((0.5, 3.0), "m", "of each", 0.01, 100.0)
+    pressure_noise: Range = interval((2e-4, 2e-3), "1", 1e-9, 0.1)  # of the range
+    pressure_accuracy: Range = interval((2.5e-3, 1e-2), "1", 1e-9, 0.1)  # of the range
+    double_rod_share: Number = _share(0.15)  # with a rod on both sides
+    overlap_share: Number = _share(0.3)  # with an overlapped spool
+    overlap: Range = interval((0.01, 0.1), "1", 1e-6, 0.5)  # of full stroke
+    null_flow_share: Number = _share(0.5)  # with a measured null flow, among those without overlap
+    null_flow: Range = interval((0.002, 0.03), "1", 1e-6, 0.5)  # of the rated flow
+    ratio_share: Number = _share(0.2)  # with a 2:1 spool, among cylinders that suit it
+    weight_share: Number = _share(0.2)  # with a load that hangs on the rod
+    line_share: Number = _share(0.3)  # with lines between valve and cylinder, half of them hoses
+    line_length: Range = interval((0.5, 3.0), "m", 0.01, 100.0)  # of each
     structure: StructureLaw = StructureLaw()
-    no_spool_sensor_share: Number = _share(0.3, "no spool sensor")
+    no_spool_sensor_share: Number = _share(0.3)  # with no spool sensor
     # ms; control periods, and how often each occurs
     periods: dict[float, Number] = {1.0: 0.1, 2.0: 0.2, 4.0: 0.2, 5.0: 0.2, 8.0: 0.15, 10.0: 0.15}
-    latency: Range = interval((0.5, 5.0), "ms", "at most one period", 0.01, 20.0)
+    latency: Range = interval((0.5, 5.0), "ms", 0.01, 20.0)  # at most one period
 
     @whole_group
     def _can_be_drawn(self) -> "RigLaw":
