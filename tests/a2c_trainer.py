@@ -23,8 +23,7 @@ class A2CTrainer:
     def train(self, config, settings, *, seed, folder, resume, base, progress):
         if resume:
             raise ConfigurationError("a2c: cannot resume")
-        features = PolicyFeatures(config, base)
-        env = AxisVecEnv(config, settings.axes, features, seed)
+        env = AxisVecEnv(config, settings.axes, PolicyFeatures(config, base), seed)
         model = A2C("MlpPolicy", env, settings.learning_rate, seed=seed, device="cpu")
         model.set_logger(training_logger(folder))
         model.learn(settings.total_steps)

@@ -15,9 +15,7 @@ class Proportional:
     def __init__(self, gain: float, config: TaskConfig) -> None:
         self.gain, self.layout = gain, ObservationLayout.of(config)
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> Any:
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, *_: Any) -> Any:
         holding = self.layout.si(observation, "previous_command") if state is None else state
         command = holding + self.gain * self.layout.si(observation, "tracking_error")
         return command[:, None].astype(np.float32), holding
@@ -29,9 +27,7 @@ class Constant:
     def __init__(self, command: float | None = 0.0) -> None:
         self.command = command
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> Any:
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, *_: Any) -> Any:
         if self.command is None:
             raise RuntimeError("broken")
         count = np.zeros(len(observation)) if state is None else np.where(episode_start, 0.0, state + 1.0)
@@ -44,17 +40,11 @@ class Relay:
     def __init__(self, size: float, config: TaskConfig) -> None:
         self.size, self.layout = size, ObservationLayout.of(config)
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> Any:
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, *_: Any) -> Any:
         return (self.size * np.sign(self.layout.si(observation, "tracking_error")))[:, None], None
 
 
 def exact_task(**changes: Any) -> TaskConfig:
     """The paper's rig as it is, without dry friction, with exact sensors."""
-    exact: dict[str, Any] = {
-        "randomisation": {},
-        "sensors": {"enabled": False},
-        "plant": {"friction": {"model": "none"}},
-    }
+    exact = {"randomisation": {}, "sensors": {"enabled": False}, "plant": {"friction": {"model": "none"}}}
     return task_config(None, **exact | changes)

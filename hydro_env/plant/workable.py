@@ -158,11 +158,11 @@ def _why_no_rest(parameters: PlantParameters) -> str:
         derived = functions_of(parameters.structure).derived(
             np.array([list(fed.values())]), coefficient_array(parameters)[None]
         )
-        flows = dict(zip(DERIVED_NAMES, derived[0].tolist(), strict=True))
-        pump, drawn = supply.pump_flow / LITRE_PER_MINUTE, flows["supply_flow"] / LITRE_PER_MINUTE
+        flow = derived[0, DERIVED_NAMES.index("supply_flow")]
+        pump, drawn = supply.pump_flow / LITRE_PER_MINUTE, flow / LITRE_PER_MINUTE
         return (
             f"supply.pump_flow = {supply.pump_flow:.3g} m³/s ({pump:.3g} l/min): at rest valve and leaks draw "
-            f"{flows['supply_flow']:.3g} m³/s ({drawn:.3g} l/min); it must be more, or supply.model constant"
+            f"{flow:.3g} m³/s ({drawn:.3g} l/min); it must be more, or supply.model constant"
         )
     for law in (*LEAK_LAWS.values(), ROD_SEAL):
         name, value, tight = law.parameter, getattr(leakage, law.parameter), law.value(0.0)

@@ -48,6 +48,7 @@ from hydro_env.task.random_numbers import (
     redrawn,
     source_key,
     uniform,
+    within,
 )
 from hydro_env.task.record import (
     CANNOT_BE_HELD,
@@ -173,6 +174,8 @@ def _at_the_cylinder(state, s, settings):
 
 
 def _begin(sources, everything, lines):
+    fill = fill_reference if everything else fill_usual
+
     def begin_episodes(chosen, task, layout, chances, fixed, physical, record, plant, references, observation):
         """Begin an episode on the axes ``chosen``, (M,); their records must be zero.
 
@@ -205,8 +208,7 @@ def _begin(sources, everything, lines):
                     reference[sample_number] = fixed.user_reference[axis, sample_number]
             row.noise_key = source_key(root, episode, NOISE)
             draw_biases(row, settings)
-            latency_key = source_key(root, episode, LATENCY)
-            row.latency = between(latency_key, 0, settings.latency_range[0], settings.latency_range[1])
+            row.latency = within(source_key(root, episode, LATENCY), 0, settings.latency_range)
             force_key = source_key(root, episode, DISTURBANCE)
             row.failure = CANNOT_BE_HELD
             attempt = 0
@@ -231,12 +233,7 @@ def _begin(sources, everything, lines):
                 # A user's reference sets its own start.
                 c = read_coefficients(coefficient[axis])
                 f = feasible(c, settings.references)
-                place = between(
-                    source_key(drawn, episode, INITIAL_STATE),
-                    0,
-                    settings.initial_position_range[0],
-                    settings.initial_position_range[1],
-                )
+                place = within(source_key(drawn, episode, INITIAL_STATE), 0, settings.initial_position_range)
                 start = place * f.high if place > 0.0 else -place * f.low
                 row.failure = NO_FAILURE
                 if family == USER_FAMILY:
@@ -245,11 +242,7 @@ def _begin(sources, everything, lines):
                         row.failure = CANNOT_BE_REACHED
                 if not math.isnan(fixed.initial_position[axis]):
                     start = fixed.initial_position[axis]
-                period = settings.control_period
-                if everything:
-                    fill_reference(reference, family, reference_key, start, period, f, settings.references)
-                else:
-                    fill_usual(reference, family, reference_key, start, period, f, settings.references)
+                fill(reference, family, reference_key, start, settings.control_period, f, settings.references)
 
                 # The axis holds the position that its sensor reads as the initial position.
                 held = start
@@ -267,9 +260,9 @@ def _begin(sources, everything, lines):
             row.late = periods_late(row.latency, settings.control_period)
             for place in range(row.sent.shape[0]):
                 row.sent[place] = row.drive
-            within = min(row.latency - row.late * settings.control_period, settings.control_period)
-            plant[axis, FIRST_DURATION + PREVIOUS] = within
-            plant[axis, FIRST_DURATION + NEW] = settings.control_period - within
+            after = min(row.latency - row.late * settings.control_period, settings.control_period)
+            plant[axis, FIRST_DURATION + PREVIOUS] = after
+            plant[axis, FIRST_DURATION + NEW] = settings.control_period - after
             s = read_state(states[axis])
             pressure_a, pressure_b = _at_the_valve(states[axis], s, settings)
             row.true_a = row.sensed_a = pressure_a

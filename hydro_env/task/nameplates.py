@@ -333,17 +333,12 @@ def _sensors(figures: Figures) -> ByName:
     if "pressure_sensors" in figures:
         sensors["pressures_at"] = figures["pressure_sensors"]
     for kind, names in {"position": ("position",), "pressure": ("pressure_a", "pressure_b")}.items():
-        fields = {}
-        for field, key in {"noise": "noise", "resolution": "resolution", "high": "range"}.items():
-            if f"{kind}_{key}" in figures:
-                fields[field] = figures[f"{kind}_{key}"]
+        keys = {"noise": f"{kind}_noise", "resolution": f"{kind}_resolution", "high": f"{kind}_range"}
+        fields = {field: figures[key] for field, key in keys.items() if key in figures}
         if kind == "position" and "position_accuracy" in figures:
             fields["bias"] = rounded(position_error(figures), "mm")
         if kind == "pressure" and "pressure_accuracy" in figures:
             fields["bias"] = rounded(figures["pressure_accuracy"] * figures["pressure_range"], "bar")
         if fields:
             sensors |= {name: dict(fields) for name in names}
-    for name in figures.get("absent", "").split(","):
-        if name:
-            sensors[name] = {"fitted": False}
-    return sensors
+    return sensors | {name: {"fitted": False} for name in figures.get("absent", "").split(",") if name}

@@ -66,6 +66,18 @@ def log_between(key, index, low, high):
 
 
 @inline
+def within(key, index, ends):
+    """:func:`between` two ends, (2,)."""
+    return between(key, index, ends[0], ends[1])
+
+
+@inline
+def log_within(key, index, ends):
+    """:func:`log_between` two ends, (2,)."""
+    return log_between(key, index, ends[0], ends[1])
+
+
+@inline
 def normal_pair(key, index):
     """The ``index``-th pair of standard normal numbers of a key (Box & Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(uniform(key, 2 * index)))

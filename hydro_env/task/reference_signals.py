@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 from hydro_env.compiling import function_of_number, inline
-from hydro_env.task.random_numbers import between, log_between, uniform
+from hydro_env.task.random_numbers import between, log_between, log_within, uniform, within
 
 
 class Feasible(NamedTuple):
@@ -41,10 +41,10 @@ def feasible(c, limits):
     force_out, force_in = supply_forces(c)
     largest = min(limits.largest_amplitude, 0.9 * c.end_stop_position)
     stiffness = c.spring_stiffness
-    high = (
-        largest if stiffness <= 0.0 else min(largest, limits.range_share * (force_out - c.external_force) / stiffness)
-    )
-    low = largest if stiffness <= 0.0 else min(largest, limits.range_share * (force_in + c.external_force) / stiffness)
+    high = low = largest
+    if stiffness > 0.0:
+        high = min(largest, limits.range_share * (force_out - c.external_force) / stiffness)
+        low = min(largest, limits.range_share * (force_in + c.external_force) / stiffness)
     return Feasible(
         -max(low, 0.0),
         max(high, 0.0),
@@ -82,7 +82,7 @@ def fill_step(row, key, start, period, f, limits):
     draw = 1
     for sample in range(len(row)):
         if sample * period >= change:
-            size = between(key, draw, limits.step_range[0], limits.step_range[1])
+            size = within(key, draw, limits.step_range)
             up = value + size <= f.high
             down = value - size >= f.low
             if up and (not down or uniform(key, draw + 1) < 0.5):
@@ -177,7 +177,7 @@ def _swing(time, frequency, inwards):
 @inline
 def fill_sine(row, key, start, period, f, limits):
     """One sine about the initial position, or on its inner side if an end of the range is near."""
-    frequency = log_between(key, 0, limits.frequency_range[0], limits.frequency_range[1])
+    frequency = log_within(key, 0, limits.frequency_range)
     inwards = _inwards(start, f)
     amplitude = _largest_sine(start, inwards, frequency, f, limits) * between(key, 1, 0.4, 1.0)
     amplitude = amplitude if uniform(key, 2) < 0.5 or inwards != 0.0 else -amplitude
@@ -192,7 +192,7 @@ def fill_multi_sine(row, key, start, period, f, limits):
     for sample in range(len(row)):
         row[sample] = start
     for number in range(4):
-        frequency = log_between(key, number, limits.frequency_range[0], limits.frequency_range[1])
+        frequency = log_within(key, number, limits.frequency_range)
         amplitude = 0.25 * _largest_sine(start, inwards, frequency, f, limits) * between(key, 4 + number, 0.6, 1.0)
         amplitude = amplitude if uniform(key, 8 + number) < 0.5 or inwards != 0.0 else -amplitude
         for sample in range(len(row)):

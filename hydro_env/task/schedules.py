@@ -9,7 +9,7 @@ from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parts.leakage import LEAK_LAWS, LeakLaw
 from hydro_env.task.configuration import Disturbance, LeakageDraw
 from hydro_env.task.fault_effects import set_faults
-from hydro_env.task.random_numbers import between, log_between, uniform
+from hydro_env.task.random_numbers import log_within, uniform, within
 from hydro_env.task.reference_signals import supply_forces
 from hydro_env.task.settings import choice
 from hydro_env.units import LITRE_PER_MINUTE
@@ -30,8 +30,8 @@ _EXTERNAL_FORCE = Coefficients._fields.index("external_force")
 def draw_leak(row, key, fixed, settings):
     """Draw the leak, healthy or faulty, and the start of its change; ``fixed`` (l/min at 100 bar) replaces the draw."""
     leakage = settings.leakage
-    healthy = log_between(key, 0, leakage.healthy_range[0], leakage.healthy_range[1])
-    faulty = log_between(key, 1, leakage.faulty_range[0], leakage.faulty_range[1])
+    healthy = log_within(key, 0, leakage.healthy_range)
+    faulty = log_within(key, 1, leakage.faulty_range)
     target = healthy if uniform(key, 2) < leakage.healthy_share else faulty
     if not math.isnan(fixed):
         target = fixed
@@ -42,7 +42,7 @@ def draw_leak(row, key, fixed, settings):
     if leakage.schedule == _MIXED_SCHEDULE:
         row.leak_schedule = math.floor(_SCHEDULES * uniform(key, 4))
     duration = settings.steps * settings.control_period
-    row.leak_start_time = duration * between(key, 3, leakage.start_range[0], leakage.start_range[1])
+    row.leak_start_time = duration * within(key, 3, leakage.start_range)
 
 
 @inline
@@ -81,10 +81,9 @@ def _disturbed(key, settings):
 @inline
 def draw_steady_force(row, coefficient, key, settings):
     """Add the constant part of the disturbance to the plant's own external force: a share of what that leaves."""
-    share = settings.disturbance.steady_share
     c = read_coefficients(coefficient)
     out, back = supply_forces(c)
-    part = between(key, 4, share[0], share[1]) if _disturbed(key, settings) else 0.0
+    part = within(key, 4, settings.disturbance.steady_share) if _disturbed(key, settings) else 0.0
     own = c.external_force
     row.force_base = own + (part * (out - own) if uniform(key, 5) < 0.5 else -part * (back + own))
     coefficient[_EXTERNAL_FORCE] = row.force_base
@@ -102,16 +101,16 @@ def draw_changing_force(row, coefficient, key, settings):
         return
     if disturbance.kind == _MIXED:
         row.force_kind = 1.0 + math.floor(_CHANGING * uniform(key, 6))
-    force = between(key, 0, disturbance.force_range[0], disturbance.force_range[1])
+    force = within(key, 0, disturbance.force_range)
     inwards = uniform(key, 1) < 0.5
     if disturbance.force_share[1] > 0.0:
         out, back = supply_forces(read_coefficients(coefficient))
         limit = min(out, back) if row.force_kind == _SINE else out if inwards else back
-        force = limit * between(key, 0, disturbance.force_share[0], disturbance.force_share[1])
+        force = limit * within(key, 0, disturbance.force_share)
     row.force_amplitude = force if inwards else -force
     duration = settings.steps * settings.control_period
-    row.force_start_time = duration * between(key, 2, disturbance.start_range[0], disturbance.start_range[1])
-    row.force_frequency = between(key, 3, disturbance.frequency_range[0], disturbance.frequency_range[1])
+    row.force_start_time = duration * within(key, 2, disturbance.start_range)
+    row.force_frequency = within(key, 3, disturbance.frequency_range)
 
 
 @inline

@@ -85,8 +85,7 @@ def test_it_is_never_worse_than_the_pid_and_a_case_does_not_depend_on_its_neighb
     found, pid = (run_cases(SHORT, acting, CASES) for acting in (BestFound(SHORT), shipped("pid", SHORT)))
     assert np.all(found.failed_at < 0)
     assert np.all(errors(found) <= errors(pid))
-    smooth = np.isin(CASES.families, ("point_to_point", "sine", "multi_sine"))
-    assert errors(found)[smooth].max() < 2e-6
+    assert errors(found)[np.isin(CASES.families, ("point_to_point", "sine", "multi_sine"))].max() < 2e-6
     again = run_cases(SHORT, BestFound(SHORT), CASES.part(4, 5))
     np.testing.assert_array_equal(again.position, found.position[4:5])
 

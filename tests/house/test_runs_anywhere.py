@@ -84,8 +84,7 @@ def test_without_any_folder_for_the_cache_the_integration_uses_the_widest_vector
 @pytest.fixture(scope="module")
 def many():
     """1000 axes through 12 steps and one restart, with one thread: observations, rewards, commands."""
-    rng = np.random.default_rng(4)
-    commands = rng.uniform(-1, 1, (12, 1000, 1)).astype(np.float32)
+    commands = np.random.default_rng(4).uniform(-1, 1, (12, 1000, 1)).astype(np.float32)
     return commands, vector_numbers(commands, 1)
 
 

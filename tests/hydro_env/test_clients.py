@@ -31,8 +31,7 @@ def test_the_spec_tells_the_length_of_an_episode_and_changes_no_episode():
     assert [row[3] for row in rows[0]] == [False] * 19 + [True]
     vector = gym.make_vec(ID, num_envs=2, episode_duration=0.1)
     assert vector.spec.max_episode_steps == 20
-    recreated = gym.make_vec(vector.spec)
-    assert recreated.unwrapped.config == vector.unwrapped.config
+    assert gym.make_vec(vector.spec).unwrapped.config == vector.unwrapped.config
     assert gym.make(ID, max_episode_steps=7).spec.max_episode_steps == 7
     assert gym.make_vec(ID, num_envs=2, max_episode_steps=7).spec.max_episode_steps == 7
 

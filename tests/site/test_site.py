@@ -95,8 +95,7 @@ def site(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_site_builds_and_its_links_hold(site, monkeypatch):
-    check = script(DOCS / "check_links.py", monkeypatch)
-    assert check.complaints(site) == []
+    assert script(DOCS / "check_links.py", monkeypatch).complaints(site) == []
     model = (site / "docs" / "model.html").read_text(encoding="utf-8")
     assert model.count("<math") > 20
     assert "def pressure_rate(" in re.sub("<[^>]*>", "", model)  # the code beside its formula

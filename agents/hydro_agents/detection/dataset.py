@@ -140,7 +140,7 @@ def simulated(
     generator = np.random.default_rng([seeds[0], chunk.row])
     count, changing = chunk.axes, chunk.leak in CHANGING
     sizes, steps = _lengths(generator, settings, config, changing)
-    noise = float(np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE))))
+    noise = np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE)))
     noise = noise if generator.random() < NOISY else 1.0
     task = _task_of(chunk, config, sizes[0], steps, noise)
     leaks = _leaks(generator, config, count)

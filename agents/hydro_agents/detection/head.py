@@ -253,7 +253,7 @@ class LeakageHead:
         output = self.outputs(inputs)
         probability = probabilities(output)
         sizes = self._sizes(output, features)
-        strangeness = np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1))
+        strangeness = np.linalg.norm(inputs @ tensors["whitener"], axis=1)
         farthest, most_disturbed = tensors["limit"]
         outside = np.maximum(strangeness - farthest, output[:, OUTSIDE] - most_disturbed) > 0.0
         # At rest a shifted or worn valve looks like a leak; the estimator tells them apart, or says that it cannot.

@@ -127,8 +127,7 @@ def fitted(data: LabelledWindows, settings: HeadTrainingSettings, seed: int, pro
     optimiser = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=WEIGHT_DECAY)
     tensors = tensors_like(settings.width, features.shape[1]) | statistics_of(features)
     inputs = torch.from_numpy(standardised(features, tensors["mean"], tensors["scale"]))
-    disturbed = (data.disturbance >= 1.0).astype(np.float32)
-    labels = torch.from_numpy(np.column_stack([data.labels, disturbed]))
+    labels = torch.from_numpy(np.column_stack([data.labels, (data.disturbance >= 1.0).astype(np.float32)]))
     size = torch.from_numpy(size_target(data.size))
     total = len(inputs)
     per_epoch = math.ceil(total / settings.batch)
@@ -188,7 +187,7 @@ def calibrated(
         ),
     )
     output = head.outputs(inputs)
-    strange = np.column_stack([np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), output[:, OUTSIDE]])
+    strange = np.column_stack([np.linalg.norm(inputs @ tensors["whitener"], axis=1), output[:, OUTSIDE]])
     tensors["limit"] = np.quantile(strange, 1.0 - OUTSIDE_RATE, axis=0).astype(np.float32)
     windows, output = windows.part(windows.usual), output[windows.usual]
     clean = windows.plain & (windows.labels[:, 0] == 0.0)
@@ -202,5 +201,4 @@ def calibrated(
     group = groups(found, windows.features[:, CHANGE], tensors["widths"], tensors["changing"][0])
     for number in range(GROUPS):
         tensors["widening"][number] = distances(found, size, group == number)
-    threshold = min(float(tensors["thresholds"][0]), 1.0)
-    return LeakageHead(tensors, head.settings.changed(threshold=threshold))
+    return LeakageHead(tensors, head.settings.changed(threshold=min(float(tensors["thresholds"][0]), 1.0)))

@@ -107,8 +107,7 @@ def test_a_lost_sample_is_bridged_and_a_lasting_loss_holds_the_axis(value):
     assert loop.lost == 0
     voltages = [at_rest(loop, position=value) for _ in range(round(LOST_TIME / TASK.control_period) + 3)]
     assert loop.holding
-    at_null = 10.0 * float(loop._at_rest)
-    assert voltages[-1] == pytest.approx(at_null)
+    assert voltages[-1] == pytest.approx(10.0 * float(loop._at_rest))
     at_rest(loop)
     assert loop.holding
     loop.reset()

@@ -40,8 +40,7 @@ def test_after_its_horizon_it_knows_every_sample(options):
 
 
 def test_at_the_start_the_axis_has_rested_and_samples_in_between_are_interpolated():
-    config = TaskConfig(references={"preview_times": [0.01, 0.03]})
-    preview = Preview(config)
+    preview = Preview(TaskConfig(references={"preview_times": [0.01, 0.03]}))
     row = np.zeros((1, 11))
     row[0, :3] = 0.4, 0.1, 0.9  # reference in 0.1 m, previews in 0.01 m
     np.testing.assert_allclose(1e3 * preview.start(row), [[40.0, 40.0, 40.5, 41.0, 43.0, 45.0, 47.0, 49.0]])

@@ -85,6 +85,5 @@ def test_step_and_frequency_response_tell_the_same(latency):
     """The step's increments are the impulse response, whose transform is g G/(1 + g G)."""
     loop, gain, count = sampled_loop(leaking(4.0), latency=latency), 20.0, 4096
     increments = np.diff(loop.step_response(gain, count), prepend=0.0)
-    frequencies = np.arange(1, count // 2, 97) / (count * loop.control_period)
-    opened = gain * loop.frequency_response(frequencies)
+    opened = gain * loop.frequency_response(np.arange(1, count // 2, 97) / (count * loop.control_period))
     assert np.allclose(np.fft.fft(increments)[1 : count // 2 : 97], opened / (1.0 + opened), atol=1e-6)

@@ -80,8 +80,7 @@ def test_a_leak_that_is_there_from_the_start_is_found_with_and_without_learning(
 
 def test_slow_drift_is_not_learnt_away():
     drift = np.concatenate([np.full(20, -3.0), np.linspace(-3.0, -1.0, 400)])
-    small = np.concatenate([np.full(20, -3.0), np.linspace(-3.0, -2.6, 400)])
-    result, _ = follow(alarm(), [drift, small])
+    result, _ = follow(alarm(), [drift, np.concatenate([np.full(20, -3.0), np.linspace(-3.0, -2.6, 400)])])
     assert result.alarm[0, -1], "a drift of two design leaks"
     assert not result.alarm[1].any(), "a drift of less than half a design leak"
 

@@ -54,8 +54,7 @@ def small_head(few_operations):
 
 def rows_of(count, axes=2, seed=0):
     """Observations (count, axes, n) of resting axes with some noise."""
-    env = ServoHydraulicVectorEnv(axes, CONFIG)
-    first, _ = env.reset(seed=seed)
+    first, _ = ServoHydraulicVectorEnv(axes, CONFIG).reset(seed=seed)
     noise = np.random.default_rng(seed).standard_normal((count, *first.shape))
     return (first + 1e-3 * noise).astype(np.float32)
 
@@ -144,8 +143,7 @@ def test_predict_watches_with_the_signature_of_a_controller(head):
 def test_windows_of_several_lengths_and_with_gaps_are_read(head):
     signals = signals_of(head, 2 * CONFIG.steps)
     for samples in (CONFIG.steps, CONFIG.steps + 7, 2 * CONFIG.steps):
-        estimate = head.estimate_windows(signals[:, :, :samples])
-        assert np.isfinite(np.column_stack(estimate)).all()
+        assert np.isfinite(np.column_stack(head.estimate_windows(signals[:, :, :samples]))).all()
     longest = head.settings.longest
     long = np.tile(signals, (1, 1, -(-(longest + 5) // signals.shape[2])))
     np.testing.assert_array_equal(

@@ -15,8 +15,7 @@ def answers(count, seed):
 
 def test_distances_of_one_give_the_quantiles_themselves():
     quantiles = np.array([[-1.3, -1.0, -0.9], [0.0, 0.3, 0.5]])
-    found = intervals(quantiles, np.ones((2, len(SIZES), 2)))
-    np.testing.assert_allclose(found, quantiles[:, [1, 0, 2]])
+    np.testing.assert_allclose(intervals(quantiles, np.ones((2, len(SIZES), 2))), quantiles[:, [1, 0, 2]])
 
 
 def test_intervals_hold_at_every_size():
@@ -27,8 +26,7 @@ def test_intervals_hold_at_every_size():
     held = (low <= size) & (size <= high)
     for begin in np.arange(-1.8, 0.5, 0.3):
         if abs(begin + 1.0) > 0.35 and abs(begin) > 0.35:  # where the network's errors jump, the mean of both counts
-            here = (size >= begin) & (size < begin + 0.3)
-            assert 0.87 < held[here].mean() < 0.94, begin
+            assert 0.87 < held[(size >= begin) & (size < begin + 0.3)].mean() < 0.94, begin
     raw = (quantiles[:, 0] <= size) & (size <= quantiles[:, 2])
     assert raw[size > 0.2].mean() < 0.6
 

@@ -57,8 +57,7 @@ def test_errors_are_ratios_to_untuned_flow_linearisation_and_jobs_are_kept(tmp_p
     ratio = rows["error_um"].to_numpy()[2:] / rows["error_um"].to_numpy()[:2]
     assert (ratio > 1.0).all()
     assert mine[2].startswith(f"{np.median(ratio):.3f}")
-    again = on_drawn_rigs(DRAWN, agents, 1, tmp_path)
-    assert again.equals(rows)
+    assert on_drawn_rigs(DRAWN, agents, 1, tmp_path).equals(rows)
 
 
 class Broken(Proportional):

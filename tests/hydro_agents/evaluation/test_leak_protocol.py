@@ -50,8 +50,7 @@ def test_verdicts_follow_from_score_threshold_and_what_the_detector_says_otherwi
             "leak_lpm": [1.0, 0.01, 1.0, 1.0],
         }
     )
-    thresholds = pd.DataFrame({"detector": ["D"], "used": [1.0], "at_1_percent": [3.0]})
-    found = judged(windows, thresholds)
+    found = judged(windows, pd.DataFrame({"detector": ["D"], "used": [1.0], "at_1_percent": [3.0]}))
     assert found["verdict"].tolist() == [Cause.INTERNAL_LEAK, Cause.VALVE, Cause.UNKNOWN]
     assert found["flagged"].tolist() == [True, False, False]
     assert found["at_1_percent"].tolist() == [False, False, False]

@@ -31,8 +31,7 @@ def test_sizes_over_windows_in_which_the_detector_tells(made):
     assert plain["coverage"] == 1.0  # 10 % beside the truth, intervals of 20 %
     assert plain["bound_lpm"] == pytest.approx(0.02)  # the median
     assert plain["ratio_to_bound"] == pytest.approx(np.log10(1.1) / (0.02 / 0.3 / np.log(10.0)))
-    beside = row(made["sizes"], detector="head", condition="null", level=0.3)
-    assert beside["coverage"] == 0.0
+    assert row(made["sizes"], detector="head", condition="null", level=0.3)["coverage"] == 0.0
     silent = row(made["sizes"], detector="estimator", condition="null", level=0.3)
     assert silent["told"] == 0
     assert np.isnan(silent["rms_log10"])

@@ -63,8 +63,7 @@ def test_flow_linearisation_takes_the_command_for_the_spool():
 
 def test_a_study_leaves_out_what_cannot_work(files, capsys):
     rig, file = files
-    study = default_study(file, rig=rig)
-    assert list(study.controllers) == ["PID"]
+    assert list(default_study(file, rig=rig).controllers) == ["PID"]
     assert [line.split(":")[2] for line in capsys.readouterr().err.splitlines()] == [" Flow linearisation", " PPO"]
     file.write_text(STUDY.replace("  PID: {kind: pid}\n", ""))
     with refused("no controller works with the sensors of this rig"):

@@ -34,8 +34,7 @@ def place(tmp_path, monkeypatch):
 
 
 def test_own_agents_and_training_seeds_stand_in_every_table(place):
-    whole = {**SMALL, "standstill_plants": 1}
-    (place / "own.yaml").write_text(yaml.safe_dump(whole, sort_keys=False))
+    (place / "own.yaml").write_text(yaml.safe_dump({**SMALL, "standstill_plants": 1}, sort_keys=False))
     answer = done(*OWN, "--agent", "calm#0=robust_agents:Calm", "--agent", "calm#1=robust_agents:Calm")
     tables = place / "results" / "own" / "tables"
     assert_published("robustness+seeds", tables)

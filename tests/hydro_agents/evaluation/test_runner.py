@@ -93,8 +93,7 @@ def test_other_periods_and_rigs_need_controllers_of_their_own():
         "rig": {"rig": str(ROOT / "configs" / "rigs" / "symmetric_eha.yaml")},
     }
     protocol = small(conditions=conditions)
-    chosen = participants({"PID": "pid"}, protocol)
-    results = run(protocol, chosen)
+    results = run(protocol, participants({"PID": "pid"}, protocol))
     status = results.status.set_index("condition")
     assert status.loc["plain", "status"] == DONE
     assert status.loc["slow", "status"] == status.loc["rig", "status"] == NOT_APPLICABLE

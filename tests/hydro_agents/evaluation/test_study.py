@@ -79,8 +79,7 @@ def test_controllers_ready_to_act_without_training(tmp_path, monkeypatch):
     assert list(controllers) == ["PID", "Flow linearisation", POLICY, "mine"]
     assert isinstance(controllers["PID"], PID)
     assert isinstance(controllers[POLICY], PolicyController)
-    replaced = found.with_weights({POLICY: "pid"})
-    assert isinstance(replaced[POLICY], PID)
+    assert isinstance(found.with_weights({POLICY: "pid"})[POLICY], PID)
     own = study(tmp_path, PLAIN + '  learned: {kind: "gain_trainer:Trainer"}\n')
     (tmp_path / "weights.json").write_text("2.0")
     assert own.with_weights({"learned": "./weights"})["learned"].gain == 2.0
@@ -110,6 +109,5 @@ def test_another_rig_changes_the_task_and_asks_for_tuning(tmp_path):
 
 @pytest.mark.parametrize(("seeds", "expected"), [("CHOICES", VALIDATION_SEEDS), ("EVALUATION", TEST_SEEDS)])
 def test_choices_are_made_on_validation_plants(seeds, expected):
-    settings = ProtocolSettings(seeds=seeds, plants=3)
-    cases = settings.protocol(TaskConfig()).cases_in("task")
+    cases = ProtocolSettings(seeds=seeds, plants=3).protocol(TaskConfig()).cases_in("task")
     assert all(int(seed) in expected for seed in cases["seed"])

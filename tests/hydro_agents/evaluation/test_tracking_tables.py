@@ -89,8 +89,7 @@ def test_a_controller_absent_from_a_condition_is_compared_where_it_ran(cases):
     assert list(own.index) == ["all", "plain"]
     assert own.loc["all", "ratio"] == pytest.approx(0.5)
     assert own.loc["all", "cases"] == 24
-    ranking = results_of(partial).table("ranking")
-    assert ranking.set_index("controller").loc["part", "conditions"] == 1
+    assert results_of(partial).table("ranking").set_index("controller").loc["part", "conditions"] == 1
 
 
 def test_a_policy_is_compared_with_what_it_corrects_unless_that_is_the_baseline(cases):
@@ -113,8 +112,7 @@ def test_the_ranking_puts_the_best_first_with_its_price(cases):
 
 
 def test_training_seeds_count_as_one_controller():
-    cases = joined(rows("PID", 1.0), rows("P", 0.5, seed=0), rows("P", 1.5, seed=1))
-    results = results_of(cases)
+    results = results_of(joined(rows("PID", 1.0), rows("P", 0.5, seed=0), rows("P", 1.5, seed=1)))
     row = results.table("comparison").set_index("group").loc["all"]
     assert row["ratio"] == pytest.approx(1.0)
     assert row["share_better"] == 0.5
@@ -132,16 +130,14 @@ def test_training_seeds_count_as_one_controller():
 def test_the_summary_holds_means_with_their_intervals(cases):
     table = results_of(cases).table("summary")
     row = table[(table["controller"] == "PID") & (table["metric"] == "mean_error_mm")].set_index("group").loc["all"]
-    own = cases.loc[cases["controller"] == "PID", "mean_error_mm"]
-    assert row["mean"] == pytest.approx(own.mean())
+    assert row["mean"] == pytest.approx(cases.loc[cases["controller"] == "PID", "mean_error_mm"].mean())
     assert row["mean_low"] < row["mean"] < row["mean_high"]
 
 
 def test_all_tables_of_a_run_are_written(tmp_path):
     protocol = small(standstill_plants=3)
     chosen = Participants({"P": Proportional(), "Q": Proportional(20.0)})
-    results = run(protocol, chosen, facts=[("date", "today")])
-    results.write(tmp_path)
+    run(protocol, chosen, facts=[("date", "today")]).write(tmp_path)
     assert_published("robustness", tmp_path)
     facts = pd.read_csv(tmp_path / "protocol.csv").set_index("key")["value"]
     assert (facts["sha256"], facts["date"]) == (protocol.sha256, "today")

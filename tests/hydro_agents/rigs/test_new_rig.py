@@ -33,8 +33,7 @@ EVERYTHING = {question.key: question.example for question in QUESTIONS} | {"band
 
 def made(**more):
     """The rig of the least answers and some more."""
-    texts = LEAST | more
-    return new_rig(answers_from(texts), "rig.yaml")
+    return new_rig(answers_from(LEAST | more), "rig.yaml")
 
 
 def words(texts):
@@ -195,8 +194,7 @@ def test_the_command_writes_a_file_that_check_rig_reads(tmp_path, monkeypatch):
     monkeypatch.setattr(stable_gain, "DRAWN", 3)
     monkeypatch.setattr(stable_gain, "PLANTS", 2)
     file = tmp_path / "mine.yaml"
-    short = words(LEAST | {"pressure_range": "10 bar"})
-    assert hydro("new-rig", *short, "--output", file).returncode == 0
+    assert hydro("new-rig", *words(LEAST | {"pressure_range": "10 bar"}), "--output", file).returncode == 0
     assert_one_clear_line(hydro("new-rig", *words(LEAST), "--output", file), "--overwrite")
     assert "warning: sensors.pressure_a" in done("check-rig", "--rig", file).stdout
 
@@ -230,8 +228,7 @@ WRONG = {
 @pytest.mark.parametrize(("changes", "part"), WRONG.values(), ids=WRONG)
 def test_wrong_figures_get_one_line_and_leave_no_file(changes, part, tmp_path):
     texts = {key: text for key, text in (LEAST | changes).items() if text is not None}
-    answer = hydro("new-rig", *words(texts), "--output", tmp_path / "rig.yaml")
-    assert_one_clear_line(answer, part)
+    assert_one_clear_line(hydro("new-rig", *words(texts), "--output", tmp_path / "rig.yaml"), part)
     assert not list(tmp_path.iterdir())
 
 

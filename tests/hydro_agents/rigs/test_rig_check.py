@@ -266,8 +266,7 @@ def test_the_page_holds_the_figures_and_the_plots(few, tmp_path):
     assert "supply.pressure: bar meant?" in page
     assert page.count("At mid-stroke, sampled every 5 ms, command 1 ms late.") == 2
     assert all(name in page for name in ("12.57", "recommended gain", "frequency, Hz", "4 l/min"))
-    answer = hydro("check-rig", "--output", tmp_path)
-    assert_one_clear_line(answer, "is a folder")
+    assert_one_clear_line(hydro("check-rig", "--output", tmp_path), "is a folder")
     inside_a_file = tmp_path / "file" / "page.html"
     inside_a_file.parent.touch()
     with pytest.raises(ConfigurationError, match="cannot be written"):

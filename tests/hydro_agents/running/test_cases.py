@@ -30,8 +30,7 @@ class Proportional:
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         self.calls.append((state, episode_start.copy(), deterministic, len(observation)))
-        command = (self.gain * observation[:, [ERROR]]).astype(np.float32)
-        return command, 1 if state is None else state + 1
+        return (self.gain * observation[:, [ERROR]]).astype(np.float32), 1 if state is None else state + 1
 
 
 class Ram:

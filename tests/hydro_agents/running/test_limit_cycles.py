@@ -93,13 +93,11 @@ def test_an_evaluation_finds_the_limit_cycles_of_a_high_gain_and_none_of_flow_li
     result = evaluate(CONFIG, {"PID": WILD, "calm": "flow_linearising"}, settings=SIZE)
     cases = result.table("limit_cycles")
     assert set(cases["leakage_flow_lpm"]) == {0.03, 4.0}  # the smallest and the largest leak
-    user = EVALUATION.of_family(REFERENCE_FAMILIES.index("user"), np.arange(2))
-    assert set(cases["seed"]) == set(user)
+    assert set(cases["seed"]) == set(EVALUATION.of_family(REFERENCE_FAMILIES.index("user"), np.arange(2)))
     assert len(cases) == 2 * 2 * 2
     wild, calm = result.table("limit_cycle_summary").to_dict("records")
     assert (wild["controller"], wild["limit_cycles"], wild["standstills"]) == ("PID", 4, 4)
     assert wild["largest_amplitude_um"] > 500.0
     assert (calm["controller"], calm["limit_cycles"], calm["standstills"]) == ("calm", 0, 4)
-    one_leak = SIZE | {"leak_levels": (0.3,)}
-    alone = evaluate(CONFIG, {"PID": WILD}, settings=one_leak).table("limit_cycles")
+    alone = evaluate(CONFIG, {"PID": WILD}, settings=SIZE | {"leak_levels": (0.3,)}).table("limit_cycles")
     assert set(alone["leakage_flow_lpm"]) == {0.3}

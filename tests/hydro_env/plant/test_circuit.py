@@ -27,8 +27,7 @@ def test_an_ideal_drive_leaves_the_spool_of_second_order():
     """Step response of a second-order system, below the slew limit."""
     plant = PlantParameters().replace(valve={"model": "spool"})
     rest, _ = equilibrium(plant)
-    start = rest | {"spool_position": 0.0, "coil_current": 0.0}
-    run = step(plant, 1.0, 0.02, start)
+    run = step(plant, 1.0, 0.02, rest | {"spool_position": 0.0, "coil_current": 0.0})
     omega, zeta = plant.valve.natural_frequency, plant.valve.damping_ratio
     damped = omega * math.sqrt(1.0 - zeta**2)
     phase = np.cos(damped * run.time) + zeta * omega / damped * np.sin(damped * run.time)

@@ -57,8 +57,7 @@ def test_chamber_b_shrinks_as_the_piston_extends():
 def test_external_leakage_raises_the_force():
     """(16): dF/dt from the run itself decides the sign; with − it is missed."""
     plant = PLANT.replace(leakage={"internal_resistance": math.inf, "external_resistance": 1e11})
-    start = at(pressure_a=40e5, pressure_b=60e5)._asdict()
-    run = simulate(plant, np.zeros(20), 1e-6, start)
+    run = simulate(plant, np.zeros(20), 1e-6, at(pressure_a=40e5, pressure_b=60e5)._asdict())
     terms = force_rate_terms(run)
     rate = np.gradient(run.load_force, run.time)[10]
     correct = sum(terms)[10]
@@ -71,8 +70,7 @@ def test_leakage_acts_at_standstill_and_lowers_chamber_b_outwards():
     """(21), (22): as a factor of dV/dt the leak would do nothing while the piston stands; + P_b/R_e would fill b."""
     plant = PLANT.replace(leakage={"internal_resistance": resistance_from_flow(1.0), "external_resistance": 5e12})
     c = plant_coefficients(plant)
-    state = at(pressure_a=50e5, pressure_b=20e5)
-    rate = State(*derivative_array(np.array(state), np.array(c), 0.0))
+    rate = State(*derivative_array(np.array(at(pressure_a=50e5, pressure_b=20e5)), np.array(c), 0.0))
     leak = 30e5 / resistance_from_flow(1.0)
     assert rate.pressure_a == pytest.approx(-c.bulk_modulus / c.volume_a0 * leak, rel=1e-9)
     out = 20e5 / 5e12
@@ -91,8 +89,7 @@ def test_friction_belongs_to_the_steady_force():
 
 def test_bulk_modulus_is_a_pressure():
     """Printed in N/m: then β/V·Q would be no rate of pressure. Squeezing 1 % of the volume gives 1 % of β, in Pa."""
-    unit = type(PLANT.fluid).model_fields["bulk_modulus"].json_schema_extra["unit"]
-    assert unit == "Pa"
+    assert type(PLANT.fluid).model_fields["bulk_modulus"].json_schema_extra["unit"] == "Pa"
     rate = State(*derivative_array(np.array(at(velocity=1.0)), np.array(C), 0.0))
     assert rate.pressure_b * 0.01 * C.volume_b0 / C.area_b == pytest.approx(0.01 * C.bulk_modulus, rel=1e-9)
 

@@ -28,8 +28,7 @@ def lively_actions(rng, count, steps):
 @pytest.fixture(scope="module")
 def rollout():
     """States (sample, axis, 10) of randomised plants along lively rollouts, the axes, and all failures met."""
-    config = task_config(None)
-    axes = Axes(config, COUNT)
+    axes = Axes(task_config(None), COUNT)
     for axis in range(COUNT):
         axes.seed(axis, np.random.default_rng([11, axis]))
     axes.begin(np.arange(COUNT))

@@ -27,8 +27,7 @@ def test_shipped_rigs_work(path):
     rig = PlantParameters.from_yaml(path)
     refuse_unworkable(rig)
     _, holding = equilibrium(rig)
-    run = simulate(rig, [holding] * 50, 5e-3)
-    assert abs(run.position[-1]) < 1e-4
+    assert abs(simulate(rig, [holding] * 50, 5e-3).position[-1]) < 1e-4
     assert path.read_text(encoding="utf-8").startswith("# ")
     violent = np.repeat([10.0, -10.0] * 5, 4)
     usual, exact, coarse = (simulate(rig, violent, 5e-3, tolerance=each).states for each in (1e-6, 1e-9, 1e-3))

@@ -55,8 +55,7 @@ def test_each_axis_of_a_batch_has_its_rig_bit_for_bit():
     batch = ServoHydraulicVectorEnv(12, **SMALL)
     observation, info = batch.reset(seed=3)
     assert len(set(info["rig"])) > 2
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-0.3, 0.3, (20, 12, 1)).astype(np.float32)
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (20, 12, 1)).astype(np.float32)
     seen, positions = [observation], [info["position"]]
     for action in actions:
         observation, _, _, _, info = batch.step(action)
@@ -89,8 +88,7 @@ def test_observations_are_in_the_units_of_the_rig(paces):
         assert seen["position"] == pytest.approx(0.02 / plant.cylinder.stroke, rel=1e-5)
         ahead = [seen[name] for name in env.observation_names if "preview" in name]
         assert ahead == pytest.approx([0.002 / travel] * (len(paces) or 4), rel=1e-5)
-        state = env.axes.state[0]
-        assert seen["pressure_a"] == pytest.approx(state[2] / plant.supply.pressure, rel=1e-5)
+        assert seen["pressure_a"] == pytest.approx(env.axes.state[0][2] / plant.supply.pressure, rel=1e-5)
         for name, value in data_sheet(task).items():
             assert seen[name] == pytest.approx(value, rel=1e-5, abs=1e-7)
         if not task.sensors.spool_position.fitted:

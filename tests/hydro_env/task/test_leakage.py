@@ -13,8 +13,7 @@ PERIOD = 5e-3
 
 
 def leaks(count=COUNT, seed=0, **leakage):
-    envs = ServoHydraulicVectorEnv(count, leakage=leakage)
-    _, info = envs.reset(seed=seed)
+    _, info = ServoHydraulicVectorEnv(count, leakage=leakage).reset(seed=seed)
     return info
 
 

@@ -71,8 +71,7 @@ def test_normal_pairs_are_standard_normal_and_independent():
     for a, b in ((first, second), (first**2, second**2), (first[1:], first[:-1]), (first[1:], second[:-1])):
         assert abs(np.corrcoef(a, b)[0, 1]) < 4.5 / np.sqrt(COUNT)
     # The angle of a pair is uniform: no direction is preferred.
-    angle = np.arctan2(second, first) / (2 * np.pi) + 0.5
-    assert stats.kstest(angle, "uniform").pvalue > 1e-3
+    assert stats.kstest(np.arctan2(second, first) / (2 * np.pi) + 0.5, "uniform").pvalue > 1e-3
 
 
 def test_sources_and_episodes_have_keys_of_their_own():
@@ -85,8 +84,7 @@ def test_sources_and_episodes_have_keys_of_their_own():
     }
     assert len(keys) == 4 * 50 * len(sources)
     rows = np.array([[uniform(key_of(ROOT, e, source), 0) for source in sources] for e in range(2000)])
-    correlation = np.corrcoef(rows.T) - np.eye(len(sources))
-    assert np.abs(correlation).max() < 4.5 / np.sqrt(2000)
+    assert np.abs(np.corrcoef(rows.T) - np.eye(len(sources))).max() < 4.5 / np.sqrt(2000)
 
 
 def begin(options=None, count=40, **config):

@@ -107,8 +107,7 @@ def test_sines_have_the_configured_frequency():
 )
 def test_families_occur_with_their_weights(weights):
     references = {"weights": weights, "user": [0.01, 0.02]} if weights else {}
-    envs = ServoHydraulicVectorEnv(3000, references=references)
-    _, info = envs.reset(seed=5)
+    _, info = ServoHydraulicVectorEnv(3000, references=references).reset(seed=5)
     shares = {name: weight for name, weight in (weights or dict.fromkeys(MOVING_FAMILIES, 1.0)).items() if weight}
     observed = [int((info["reference_family"] == name).sum()) for name in shares]
     assert sum(observed) == 3000
@@ -130,8 +129,7 @@ def test_preview_is_the_future_reference(family):
     for column, ahead in enumerate((1, 2, 4, 8), start=1):
         for k in range(101 - ahead):
             assert seen[k][column] == pytest.approx(references[k + ahead] - references[k], abs=2e-8)
-    names = env.observation_names[1:5]
-    assert names == tuple(f"reference_preview_{ms}ms" for ms in (5, 10, 20, 40))
+    assert env.observation_names[1:5] == tuple(f"reference_preview_{ms}ms" for ms in (5, 10, 20, 40))
     for times in ([0.1], []):
         assert ServoHydraulicEnv(references={"preview_times": times}).observation_space.shape == (9 + len(times),)
 

@@ -29,8 +29,7 @@ def errors(count, **config):
     envs = ServoHydraulicVectorEnv(count, **config)
     envs.reset(seed=0)
     axes = envs.axes
-    state = axes.state
-    true = dict(zip(SENSORS, state[:, [0, 2, 3, 4]].T, strict=True))
+    true = dict(zip(SENSORS, axes.state[:, [0, 2, 3, 4]].T, strict=True))
     return {name: of_channel(axes, "measured", name) - true[name] for name in SENSORS}, axes
 
 

@@ -11,8 +11,7 @@ CLEAN = {"sensors": {"enabled": False}}
 
 def commands(count=60, seed=0):
     """Commands with held stretches and jumps, some beyond the limit of ±1."""
-    rng = np.random.default_rng(seed)
-    return np.repeat(rng.uniform(-0.7, 1.1, count // 5), 5)
+    return np.repeat(np.random.default_rng(seed).uniform(-0.7, 1.1, count // 5), 5)
 
 
 def replay(parameters, position, sequence, latency, period):

@@ -27,12 +27,10 @@ def test_the_fall_has_an_interval(before, after, sign):
 
 
 def test_colder_oil_is_no_new_seal():
-    hot = 0.3 / float(OIL.factor(60.0))
-    fall = change_of(diagnosed(hot, 60.0), diagnosed(0.3, 40.0), OIL).fall
+    fall = change_of(diagnosed(0.3 / float(OIL.factor(60.0)), 60.0), diagnosed(0.3, 40.0), OIL).fall
     assert fall.low < 0.0 < fall.high
     unknown = change_of(diagnosed(0.3, np.nan), diagnosed(0.01, np.nan), OIL).fall
-    known = change_of(diagnosed(0.3), diagnosed(0.01), OIL).fall
-    assert 0.0 < unknown.low < known.low
+    assert 0.0 < unknown.low < change_of(diagnosed(0.3), diagnosed(0.01), OIL).fall.low
 
 
 def test_a_recording_without_a_leak_gives_no_fall():

@@ -34,8 +34,7 @@ def test_the_plan_keeps_the_limits_and_says_its_bound():
 
 def recorded(tmp_path, leak):
     """The recording of a short test on a simulated axis with a worn valve."""
-    task = worn_task(CONFIG)
-    axis = simulated(task, STEPS, 1, leak, LEARNING.take(1, 4001))
+    axis = simulated(worn_task(CONFIG), STEPS, 1, leak, LEARNING.take(1, 4001))
     path = tmp_path / f"{leak:g}.csv"
     time = CONFIG.control_period * np.arange(axis.signals.shape[2])
     path.write_text(recording_csv(time, axis.signals[0]), encoding="utf-8")

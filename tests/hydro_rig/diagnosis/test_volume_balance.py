@@ -19,8 +19,7 @@ def moves(leak, area=9e-4, period=0.02, noise=0.0, relief=False):
     generator = np.random.default_rng(0)
     samples = round(3.0 / period)
     speed = np.concatenate([np.full(samples, sign * size) for size in (0.02, 0.05, 0.08, 0.1) for sign in (1.0, -1.0)])
-    load = np.repeat(generator.uniform(-80e5, 80e5, 8), samples)
-    difference = load + 5e5 * np.sign(speed)
+    difference = np.repeat(generator.uniform(-80e5, 80e5, 8), samples) + 5e5 * np.sign(speed)
     flow = area * speed + leak * LITRE_PER_MINUTE / 100e5 * difference
     if relief:
         flow[samples // 2 : samples] += 5.0 * LITRE_PER_MINUTE

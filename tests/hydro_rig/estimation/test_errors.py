@@ -62,8 +62,7 @@ def test_whitening_is_the_inverse_root_of_the_covariance():
 def test_the_likelihood_is_that_of_the_normal_distribution():
     residual = np.random.default_rng(5).standard_normal((1, 1, 500)) * 2.0
     _, cost = errors_of(residual, np.ones(residual.shape, bool))
-    square = float((residual**2).mean())
-    assert cost[0] == pytest.approx(500 * (np.log(square) + 1.0), rel=1e-9)
+    assert cost[0] == pytest.approx(500 * (np.log(float((residual**2).mean())) + 1.0), rel=1e-9)
 
 
 def test_spikes_are_found_and_a_step_is_none():

@@ -117,8 +117,7 @@ def test_missing_readings_are_left_out(moving):
     assert (partial.deviation("spool_position_bias") > 0.99 * prior_of(CONFIG, "spool_position_bias").deviation).all()
     blind = signals[2:3].copy()
     blind[:, :4] = np.nan
-    nothing = estimate(blind, CONFIG, settings=QUICK)
-    assert remaining_of(nothing, LEAKAGE) > 0.7
+    assert remaining_of(estimate(blind, CONFIG, settings=QUICK), LEAKAGE) > 0.7
 
 
 def test_saturated_readings_are_left_out(moving):
@@ -133,8 +132,7 @@ def test_saturated_readings_are_left_out(moving):
 @pytest.mark.parametrize("fault", [("valve_null_shift", 0.02), ("pressure_b_freeze", 1.0), ("valve_hysteresis", 0.04)])
 def test_a_structure_that_the_model_lacks_is_flagged(fault):
     signals, *_ = driven(CONFIG, [0.02, 0.02], [41, 42], faults=dict([fault]))
-    wrong = estimate(signals, CONFIG, settings=EstimationSettings(restarts=0))
-    assert not wrong.holds.any()
+    assert not estimate(signals, CONFIG, settings=EstimationSettings(restarts=0)).holds.any()
 
 
 def test_batches_threads_and_neighbours_change_nothing(moving, found):

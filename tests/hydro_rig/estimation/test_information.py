@@ -56,8 +56,7 @@ def test_one_unknown_is_known_as_well_as_its_derivative_says(windows):
     above, below = (model.readings(model.prior.scaled(np.full((3, 1), LEAK + sign * change))) for sign in (1, -1))
     slope = np.where(used, (above - below) / (2.0 * change), 0.0)
     closed = 1.0 / np.sqrt((slope**2).sum(axis=(1, 2)))
-    prior = priors[LEAKAGE].deviation
-    np.testing.assert_allclose(told, (closed**-2 + prior**-2) ** -0.5, rtol=0.01)
+    np.testing.assert_allclose(told, (closed**-2 + priors[LEAKAGE].deviation ** -2) ** -0.5, rtol=0.01)
 
 
 def test_every_signal_and_every_sample_adds_and_every_unknown_takes(windows):

@@ -71,8 +71,7 @@ def test_the_pressure_of_a_constant_supply_is_found():
 
 @pytest.mark.parametrize("leak", [0.01, 0.3])
 def test_a_recorded_supply_gives_the_leak_although_it_swings(leak):
-    windows = swinging(leak)
-    found = EstimatorDetector().read(windows, CONFIG)
+    found = EstimatorDetector().read(swinging(leak), CONFIG)
     assert found.answers.all()
     np.testing.assert_allclose(found.flow_lpm, leak, atol=0.015)
     assert (found.high_lpm - found.low_lpm < 0.03).all()

@@ -71,8 +71,7 @@ def test_windows_with_common_parameters_end_in_the_minimum_that_scipy_finds():
     own = guess.shape[1] - 4
     places = np.array([[*shared, *(4 + own * window + np.arange(own))] for window in range(3)])
     equations, roots = final_equations(problem, found, shared)
-    start = np.concatenate([guess[0, :4], guess[:, 4:].ravel()])
-    best = by_scipy(problem, roots, places, start).x
+    best = by_scipy(problem, roots, places, np.concatenate([guess[0, :4], guess[:, 4:].ravel()])).x
     apart = found.copy()  # from where the search of hydro identify comes back
     apart[:, shared] += 3.0 * np.sqrt(np.diag(np.linalg.inv(equations.precision[0])))[shared]
     identified = fit_together(problem, apart).scaled

@@ -104,8 +104,7 @@ def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
     tested = {}
     for shift in (0.0, 0.004):
         moved = valve.model_copy(update={"null_shift": valve.null_shift + shift})
-        wrong = config.plant.model_copy(update={"valve": moved})
-        held = simulate_held_back(part, config, wrong, {})
+        held = simulate_held_back(part, config, config.plant.model_copy(update={"valve": moved}), {})
         tested[shift] = forecast([held]), whole_parts([held])
     ahead, whole = tested[0.004]
     assert ahead.error[POSITION] < whole.error[POSITION]

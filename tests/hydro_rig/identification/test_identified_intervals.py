@@ -166,8 +166,7 @@ def test_a_slew_limit_above_the_spools_speed_is_not_determined(tmp_path):
     config = task_config("as_given", randomisation=ranges, episode_duration=5.0)
     fit = fit_of(tmp_path / "a.csv", config, (4, 200))
     by_name = {one.name: one for one in fit.unknowns}
-    limit = by_name["valve.slew_limit"]
-    assert not fit.knows(limit)
+    assert not fit.knows(by_name["valve.slew_limit"])
     assert fit.knows(by_name["leakage_flow_lpm"])
     own = config.plant.valve.slew_limit
     assert found_values(fit, config)["valve.slew_limit"] == pytest.approx(own)

@@ -108,8 +108,7 @@ def rows_of_tags(table, bad, good):
     rows = rows.rename(columns={"time [s]": "Timestamp"}).sort_values("Timestamp", kind="stable")
     rows["Tag"] = "AX1." + rows["Tag"].str.partition(" ")[0]
     rows["Status"] = good
-    wrong = rows.iloc[35:40].assign(Value=-999.0, Status=bad)
-    rows.iloc[35:40] = wrong
+    rows.iloc[35:40] = rows.iloc[35:40].assign(Value=-999.0, Status=bad)
     return rows[["Tag", "Timestamp", "Value", "Status"]]
 
 
@@ -234,8 +233,7 @@ def test_a_file_of_another_program_holds_the_same(tmp_path, original, name):
     found = read_recording(tmp_path / name, columns)
     expected = simulated.signals.copy()
     if "long" in name:
-        differs = np.argwhere(np.isnan(found.signals))
-        assert sorted(differs[:, 0]) == [0, 1, 2, 3, 4]
+        assert sorted(np.argwhere(np.isnan(found.signals))[:, 0]) == [0, 1, 2, 3, 4]
         expected[:, 7] = np.nan
     np.testing.assert_allclose(found.time, simulated.time, atol=1e-5 if name == "excel.csv" else 1e-6)
     np.testing.assert_allclose(found.signals, expected, rtol=1e-6, atol=1e-9)

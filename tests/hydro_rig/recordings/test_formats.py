@@ -57,8 +57,7 @@ MAP = "time: {column: t, unit: s}\nposition: {column: x, unit: mm}\ncommand: {co
 
 
 def test_vectors_of_unequal_length_are_told(tmp_path):
-    content = {"t": TIME, "u": COMMAND, "x": np.arange(5.0)}
-    scipy.io.savemat(tmp_path / "a.mat", content)
+    scipy.io.savemat(tmp_path / "a.mat", {"t": TIME, "u": COMMAND, "x": np.arange(5.0)})
     (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
     with refused("'x' has 5 values, that of the command has 200"):
         read_recording(tmp_path / "a.mat", read_map(tmp_path / "map.yaml"))

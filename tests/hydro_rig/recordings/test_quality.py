@@ -195,8 +195,7 @@ def test_the_sign_of_a_load_pressure_is_checked(recording, sign):
 
 
 def test_faulty_readings_are_left_out(recording):
-    damaged = edited(0, slice(7, None, 31), -0.2)(recording)
-    samples = check_recording(damaged, CONFIG).samples
+    samples = check_recording(edited(0, slice(7, None, 31), -0.2)(recording), CONFIG).samples
     assert np.isnan(samples.signals[0, 7::31]).all()
     assert np.isfinite(np.delete(samples.signals[0], np.s_[7::31])).all()
 
@@ -229,8 +228,7 @@ def stepped(rows_per_second, steps, duration=1.0):
 
 
 def test_a_fast_log_of_a_few_commands_is_taken_on_its_own_grid():
-    log = stepped(10_000, [(0.1003, 0.1), (0.5, 0.0), (0.6012, -0.1)])
-    checked = check_recording(log, CONFIG)
+    checked = check_recording(stepped(10_000, [(0.1003, 0.1), (0.5, 0.0), (0.6012, -0.1)]), CONFIG)
     samples = checked.samples
     assert samples.period == pytest.approx(1e-3)
     assert any("each sample the median of 10 rows" in finding.line() for finding in checked.findings)
@@ -264,8 +262,7 @@ def test_a_log_that_does_not_fit_the_control_period_has_a_grid_of_its_own(record
 
 
 def test_windows_keep_gaps_as_missing_samples(recording):
-    damaged = rows(lambda n: np.r_[0:400, 440:n])(recording)
-    windows = cut(check_recording(damaged, CONFIG).samples, 300)
+    windows = cut(check_recording(rows(lambda n: np.r_[0:400, 440:n])(recording), CONFIG).samples, 300)
     np.testing.assert_allclose(windows.begin, [0.0, 1.5, 3.0, 4.5])
     assert windows.commanded.tolist() == [True, False, True, True]
     np.testing.assert_array_equal(windows.signals[0], recording.signals[:, :300])
@@ -280,8 +277,7 @@ def test_single_lost_commands_are_filled_in_from_the_signals_around_them(recordi
     assert [finding.weight for finding in findings] == [NOTE]
     assert np.isin([*lost, 999, 1000], samples.place).tolist() == [True] * len(lost) + [True, False]
     error = samples.signals[4, np.searchsorted(samples.place, lost)] - recording.signals[4, lost]
-    spread = np.std(recording.signals[4, lost] - recording.signals[4, lost - 1])
-    assert np.abs(error).max() < 0.5 * spread
+    assert np.abs(error).max() < 0.5 * np.std(recording.signals[4, lost] - recording.signals[4, lost - 1])
     assert np.isnan(samples.signals[:4, np.searchsorted(samples.place, lost)]).all()
     assert cut(samples, 300).commanded.tolist() == [True, True, True, False]
 

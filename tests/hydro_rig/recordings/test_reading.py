@@ -71,8 +71,7 @@ def test_a_logger_writes_a_head_a_line_of_units_dates_and_decimal_commas_in_its_
     (tmp_path / "a.csv").write_bytes("\r\n".join([*head, *rows]).encode("cp1252"))
     signals = ("time", "position", "pressure_a", "pressure_b", "spool_position", "command")
     lines = [f"{signal}: {name}" for signal, name in zip(signals, names.split(";"), strict=True)]
-    file = written(tmp_path, "\n".join(lines), "map.yaml")
-    found = read_recording(tmp_path / "a.csv", read_map(file))
+    found = read_recording(tmp_path / "a.csv", read_map(written(tmp_path, "\n".join(lines), "map.yaml")))
     np.testing.assert_allclose(found.time, TIME, atol=1e-9)
     np.testing.assert_allclose(found.signals, SIGNALS, rtol=1e-6)
     assert found.findings == []

@@ -58,8 +58,7 @@ def test_a_mistake_names_file_and_field(tmp_path, text, told):
 
 
 def test_rows_are_read_by_the_map_of_their_axis_and_those_of_a_stranger_are_left_out(folder, capsys):
-    fleet = Fleet.load(folder / "fleet.yaml")
-    watched = FleetWatch(fleet, folder / "watch.csv")
+    watched = FleetWatch(Fleet.load(folder / "fleet.yaml"), folder / "watch.csv")
     lines = ["axis,t,u,x", "lift,1.0,2,5", "crane,1.0,2,5", "lift,1.005,2,5", "crane,1.005,2,5"]
     assert not list(watched.looks(lines))
     assert list(watched.axes) == ["lift"]

@@ -188,8 +188,7 @@ def test_a_leak_of_a_moving_axis_is_told_within_30_s_and_a_healthy_one_is_good(l
     found = {}
     later = in_csv(healthy, np.add(cells(healthy), [32.0, 0, 0, 0, 0, 0]))
     for axis, lines in (("wet", leaking), ("dry", later)):
-        tagged = [lines[0] + ",axis", *(f"{line},{axis}" for line in lines[1:])]
-        found[axis] = list(fleet.looks(tagged))
+        found[axis] = list(fleet.looks([lines[0] + ",axis", *(f"{line},{axis}" for line in lines[1:])]))
     wet = [look for look in found["wet"] if look.condition is Condition.MAINTENANCE]
     assert wet[0].time - float(leaking[1].split(",")[0]) <= 30.0
     assert wet[0].cause == "leak past the piston"
@@ -246,8 +245,7 @@ def test_a_sensor_that_stops_is_a_failure_also_when_all_rows_are_of_one_value(he
 
 @pytest.mark.parametrize("fault", WIRING)
 def test_a_fault_of_the_wiring_is_named_before_an_alarm(fault, healthy, tmp_path):
-    rows = WIRING[fault](cells(healthy)[:3000])
-    looks = list(fleet_in(tmp_path).looks(in_csv(healthy, rows)))
+    looks = list(fleet_in(tmp_path).looks(in_csv(healthy, WIRING[fault](cells(healthy)[:3000]))))
     assert looks
     assert {look.condition for look in looks} <= {Condition.CHECK, Condition.FAILURE}
     assert all(look.cause for look in looks)
@@ -329,8 +327,7 @@ def test_a_kill_and_a_broken_pipe_leave_a_whole_table(leaking, tmp_path):
     told = json.loads(process.stdout.readline())
     process.send_signal(signal.SIGKILL)
     process.wait()
-    memory = json.loads((tmp_path / "watch.json").read_text())
-    assert memory["axis"]["since"] == told["since"]
+    assert json.loads((tmp_path / "watch.json").read_text())["axis"]["since"] == told["since"]
     assert len(read_table(tmp_path / "watch.csv")) == 1
     rows = "\n".join(leaking[:2600]) + "\n"
     with subprocess.Popen(

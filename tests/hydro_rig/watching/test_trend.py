@@ -63,8 +63,7 @@ def recordings(folder, days=10, axes=("one", "two"), broken=()):
     for axis in axes:
         (folder / axis).mkdir(parents=True, exist_ok=True)
         for day in range(days):
-            text = "broken" if (axis, day) in broken else "numbers"
-            (folder / axis / f"{day:02d}.csv").write_text(text)
+            (folder / axis / f"{day:02d}.csv").write_text("broken" if (axis, day) in broken else "numbers")
     return folder
 
 
@@ -81,8 +80,7 @@ def test_a_file_becomes_one_row_with_the_leak_at_40_degrees(tmp_path):
     assert found["until"] - found["time"] == pytest.approx(3.995)
     assert found["verdict"] == Kind.LEAK
     assert found["temperature"] == pytest.approx(55.0)
-    factor = float(OIL.factor(55.0))
-    assert found["low_40"] < 0.3 * factor < found["high_40"]
+    assert found["low_40"] < 0.3 * float(OIL.factor(55.0)) < found["high_40"]
 
 
 def test_an_impossible_temperature_of_the_oil_is_told_and_does_not_count(tmp_path):
@@ -168,8 +166,7 @@ def test_an_interruption_loses_no_finished_file(tmp_path, monkeypatch):
 
 
 def test_marks_and_columns_of_the_user_stay(tmp_path):
-    table = table_of([0.02]).assign(note="seal 4711", repaired="x")
-    table.to_csv(tmp_path / "t.csv", index=False)
+    table_of([0.02]).assign(note="seal 4711", repaired="x").to_csv(tmp_path / "t.csv", index=False)
     file = File(tmp_path / "a.csv", "a", "a/a.csv", 200)
     read = with_row(read_table(tmp_path / "t.csv"), file, row(0.03))
     assert read[["size_40", "bytes", "repaired"]].to_numpy().tolist() == [[0.03, 200, "x"]]
@@ -383,8 +380,7 @@ def test_the_command_writes_table_and_page_and_ends_with_the_code(tmp_path, quic
     assert "limit 0.30, reached about " in answer.stdout
     assert f"{tmp_path}/out/t.csv: 39 files read, 0 known, 1 left out" in answer.stdout
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"t.csv", "t.html"}
-    page = (tmp_path / "out" / "t.html").read_text(encoding="utf-8")
-    assert "03.csv: holds no table" in page
+    assert "03.csv: holds no table" in (tmp_path / "out" / "t.html").read_text(encoding="utf-8")
     found = json.loads(hydro(*line, "--json").stdout)
     assert (found["exit_code"], found["files"]["known"]) == (10, 39)
     assert sorted(axis["axis"] for axis in found["axes"]) == ["one", "two"]
