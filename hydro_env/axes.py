@@ -141,8 +141,7 @@ class Axes:
         self.complete_state = plant[:, :FIRST_COEFFICIENT]
         self.coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
         self.peaks = plant[:, FIRST_PEAK:]
-        rows = self.record.view(np.ndarray).view(np.float64).reshape(self.count, -1)
-        self.numbers = rows[:, : COLUMN["noise_key"]]
+        self.numbers = self.record.view(np.ndarray).view(np.float64).reshape(self.count, -1)[:, : COLUMN["noise_key"]]
 
     def seed(self, axis: int, generator: np.random.Generator) -> None:
         """Seed an axis from its generator; its episode number restarts at 0."""

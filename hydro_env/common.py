@@ -109,6 +109,5 @@ class AxisEnvironment:
             if any(isinstance(kwargs.get(name), str) for name in NAMED):
                 kwargs = {key: inner for key, inner in kwargs.items() if key not in NAMED}
                 kwargs["config"] = self.config.model_dump(mode="json")
-            longest = max(task.steps for task in self.rigs)
-            value = dataclasses.replace(value, kwargs=kwargs, max_episode_steps=longest)
+            value = dataclasses.replace(value, kwargs=kwargs, max_episode_steps=max(task.steps for task in self.rigs))
         self._spec = value

@@ -220,8 +220,7 @@ def tuple_writer(kind: Any, first: int = 0, lanes: int = 0) -> Any:
 
 
 def _places(kind: Any, first: int, lanes: int) -> list[str]:
-    rows = range(first, first + len(kind._fields))
-    return [f"{row * lanes} + lane" if lanes else f"{row}" for row in rows]
+    return [f"{row * lanes} + lane" if lanes else f"{row}" for row in range(first, first + len(kind._fields))]
 
 
 def lane_function(array: str, rows: int, lanes: int, *statements: str) -> Any:

@@ -285,8 +285,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
 
         if not self._renderer:
             self._renderer = AxisRenderer(self.render_mode)
-        frame_time = self._periods_per_frame() * self._task.control_period
-        return self._renderer.draw(self._axes, self._history, frame_time)
+        return self._renderer.draw(self._axes, self._history, self._periods_per_frame() * self._task.control_period)
 
     def close(self) -> None:
         """Close the window, if there is one; may be called more than once."""

@@ -74,8 +74,7 @@ def closed_port_natural_frequency(parameters: PlantParameters, position: float =
 
     ω = √((β (A_a²/V_a + A_b²/V_b) + k) / (M + m_d)); β is that of oil without free air. Does not depend on leakage.
     """
-    c = plant_coefficients(parameters.rigid)
-    return math.sqrt(closed_port_stiffness(parameters, position) * c.inverse_mass)
+    return math.sqrt(closed_port_stiffness(parameters, position) * plant_coefficients(parameters.rigid).inverse_mass)
 
 
 def speed_limits(parameters: PlantParameters, force: float = 0.0) -> Limits:

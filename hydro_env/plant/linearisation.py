@@ -204,5 +204,4 @@ def fastest_motion(parameters: PlantParameters, state: State | Floats) -> tuple[
     rates = np.abs(values)
     rates[np.abs(rates - IDEAL_RATE) < 1e-6 * IDEAL_RATE] = 0.0
     fastest = np.argmax(rates)
-    moved = np.abs(vectors[:, fastest]) / typical_sizes(model.names)
-    return rates[fastest], model.names[np.argmax(moved)]
+    return rates[fastest], model.names[np.argmax(np.abs(vectors[:, fastest]) / typical_sizes(model.names))]

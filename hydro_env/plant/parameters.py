@@ -86,8 +86,7 @@ class PlantParameters(Group):
         Raises:
             ConfigurationError: unreadable file, unknown key, or a value outside its bounds.
         """
-        values = {key: value for key, value in read_yaml(path).items() if key not in OF_THE_TASK}
-        return cls.from_dict(values, path)
+        return cls.from_dict({key: value for key, value in read_yaml(path).items() if key not in OF_THE_TASK}, path)
 
     def replace(self, **groups: Mapping[str, Any]) -> "PlantParameters":
         """Copy with some fields changed: ``parameters.replace(load={"mass": 80.0})``.

@@ -71,8 +71,7 @@ def reference_states(
             state, time = of_axis.hold_limits(solution.y[:, -1], coefficients), solution.t[-1]
             if time >= sample_time:
                 break
-            met = np.flatnonzero([len(times) for times in solution.t_events])
-            state = plant.put_on_limit(state, met, held)
+            state = plant.put_on_limit(state, np.flatnonzero([len(times) for times in solution.t_events]), held)
         else:
             raise InvalidStateError(f"the reference solver met more than {_MOST_EVENTS} limits in one sample")
         states[sample + 1] = state

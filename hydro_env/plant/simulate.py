@@ -173,8 +173,7 @@ def simulate(
     time = sample_time * np.arange(len(inputs) + 1, dtype=float)
     _check_range(parameters, time, states)
     acting = np.append(inputs, inputs[-1:])
-    derived = functions_of(structure).derived(states, coefficients[None])
-    return Trajectory(parameters, time, acting, states, derived)
+    return Trajectory(parameters, time, acting, states, functions_of(structure).derived(states, coefficients[None]))
 
 
 def valid_ranges(parameters: PlantParameters) -> tuple[Floats, Floats]:

@@ -277,8 +277,7 @@ def _supply(figures: Figures) -> ByName:
     flow = figures["pump_flow"]
     supply |= {"model": "pump", "pump_flow": flow, "relief_slope": rounded(flow / (5.0 * BAR), "l/min/bar")}
     if "accumulator" not in figures:
-        litres = max(0.02 * flow / LITRE_PER_MINUTE, 0.1)
-        return supply | {"line_volume": rounded(1e-3 * litres, "l", 2)}
+        return supply | {"line_volume": rounded(1e-3 * max(0.02 * flow / LITRE_PER_MINUTE, 0.1), "l", 2)}
     precharge = rounded(0.8 * figures["supply_pressure"], "bar")
     gas = {"accumulator_volume": figures["accumulator"], "precharge_pressure": precharge, "polytropic_index": 1.3}
     return supply | {"model": "accumulator"} | gas

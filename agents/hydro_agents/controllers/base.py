@@ -256,7 +256,7 @@ def search_space(gains: type[Group], plant: PlantParameters) -> dict[str, tuple[
 
 
 def rows(memory: Any, axes: Array | slice) -> Any:
-    """The memory of some axes: arrays, nested in named tuples; ``None`` stays."""
+    """Some rows of a memory: arrays, nested in named tuples; ``None`` stays."""
     if isinstance(memory, tuple):
         return type(memory)(*(rows(part, axes) for part in memory))
     return None if memory is None else memory[axes]

@@ -169,8 +169,7 @@ class FlowLinearising(ClassicalController):
         g = self.gains
         wanted_speed += g.position_gain / self.pace * braked(error, g.braking * self._full_speed * self.pace)
         wanted_speed -= g.damping * self._oscillation / flow.stiffness * (flow.force - now.slow_force)
-        command = self._model.opening((wanted_speed - other_speed) / flow_gain, flow)
-        return command, now
+        return self._model.opening((wanted_speed - other_speed) / flow_gain, flow), now
 
     def estimates(self, memory: FlowLinearisingState) -> Singles:
         """Estimates of the controller, (N, 5), numbers of order 1.

@@ -69,8 +69,7 @@ class SampledLoop:
 
     def _first_unstable(self, gains: Array) -> int | None:
         """Index of the first of some gains with which the closed loop is unstable."""
-        radii = np.abs(np.linalg.eigvals(self.closed(gains))).max(axis=-1)
-        unstable = np.flatnonzero(radii > 1.0 + _NEUTRAL)
+        unstable = np.flatnonzero(np.abs(np.linalg.eigvals(self.closed(gains))).max(axis=-1) > 1.0 + _NEUTRAL)
         return unstable[0] if len(unstable) else None
 
     def largest_stable_gain(self, limit: float = 1e6) -> float:

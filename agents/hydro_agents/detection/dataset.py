@@ -116,7 +116,7 @@ def _chunks(
 ) -> Iterator[tuple[Controller | None, Chunk]]:
     """Groups of runs that are simulated together, each with its controller, if that is one of the study."""
     total = sum(row.share for row in OPERATIONS)
-    usual: Sequence[Controller | str] = FOR_ANY_AXIS if settings.law else controllers
+    usual = FOR_ANY_AXIS if settings.law else controllers
     for place, row in enumerate(OPERATIONS):
         all_acting = [row.manner] if row.manner else usual
         for acting in all_acting:

@@ -319,7 +319,8 @@ def _build_describe(sources: int) -> Any:
         assert sources >= 0
         c = _read_coefficients(sheet.coefficients)
         supply, samples, sensors = sheet.mean[SUPPLY], signals.shape[2], lost.shape[1]
-        work, change = _Regression(np.empty((4, 4)), np.empty(4), np.empty(4)), np.empty(PARTS)
+        normal, right, row, change = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(PARTS)
+        work = _Regression(normal, right, row)
         for window in range(signals.shape[0]):
             values, error = features[window], balance.spool_error[window]
             estimate, deviation = balance.estimate[window], balance.deviation[window]

@@ -211,8 +211,7 @@ class LeakageHead:
         seen, answer = state.seen + 1, state.answer.copy()
         if episode_start is not None:
             seen[episode_start], answer[episode_start] = 1, np.nan
-        measured = np.asarray(batch[:, self.columns], np.float32)
-        history = (*state.history, measured)[-self.settings.window :]
+        history = (*state.history, np.asarray(batch[:, self.columns], np.float32))[-self.settings.window :]
         late = seen - self.settings.window
         due = (late >= 0) & (late % self.interval == 0)
         if due.any():
@@ -253,7 +252,7 @@ class LeakageHead:
         output = self.outputs(inputs)
         probability = probabilities(output)
         sizes = self._sizes(output, features)
-        strangeness = np.linalg.norm(inputs @ tensors["whitener"], axis=1)
+        strangeness = np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1))
         farthest, most_disturbed = tensors["limit"]
         outside = np.maximum(strangeness - farthest, output[:, OUTSIDE] - most_disturbed) > 0.0
         # At rest a shifted or worn valve looks like a leak; the estimator tells them apart, or says that it cannot.

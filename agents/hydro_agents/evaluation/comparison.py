@@ -47,8 +47,7 @@ class Sample(NamedTuple):
 
     def part(self, rows: Mask, columns: Mask) -> "Sample":
         """The same on a part of its plants and situations."""
-        weights = self.weights._replace(plants=self.weights.plants[:, rows])
-        return Sample(self.values[:, rows][:, :, columns], weights)
+        return Sample(self.values[:, rows][:, :, columns], self.weights._replace(plants=self.weights.plants[:, rows]))
 
 
 class Grid:

@@ -150,5 +150,4 @@ class Protocol(Group, Generic[AnyCondition]):
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of the whole protocol, including all files that it names, as sorted JSON."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()

@@ -213,8 +213,7 @@ def simulated_windows(config: TaskConfig, acting: str, cases: Cases, samples: in
         ControllerError: the controller of the axes failed.
         ConfigurationError: a run cannot begin.
     """
-    controller = ACTING[acting](config, len(cases), cases.seeds[0])
-    signals, run = measured_run(config, controller, cases)
+    signals, run = measured_run(config, ACTING[acting](config, len(cases), cases.seeds[0]), cases)
     spare = config.steps - samples
     places = [np.random.default_rng([seed, 13]).integers(spare // 2, spare + 1) for seed in cases.seeds]
     return cut(signals, np.array(places), samples), {

@@ -62,8 +62,7 @@ def paired(levels: Sequence[float], families: Sequence[str], plants: int, seeds:
 
     A family has the same plants at every level; families have different plants.
     """
-    rows = product(levels, families, range(plants))
-    table = pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant"])
+    table = pd.DataFrame(product(levels, families, range(plants)), columns=["leakage_flow_lpm", "family", "plant"])
     return table.assign(seed=seeds.of_family(table["family"].map(REFERENCE_FAMILIES.index), table["plant"]))
 
 
@@ -141,8 +140,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
         """The task with the changes of a condition; a condition whose only reference is 'user' draws no other."""
         condition = self.conditions[name]
         if condition.families == ("user",):
-            alone = merged(condition.task, {"references": {"weights": {"user": 1.0}}})
-            condition = condition.changed(task=alone)
+            condition = condition.changed(task=merged(condition.task, {"references": {"weights": {"user": 1.0}}}))
         return condition.task_on(self.task, f"conditions.{name}")
 
     def cases_in(self, name: str) -> pd.DataFrame:

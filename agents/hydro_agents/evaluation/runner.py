@@ -124,8 +124,7 @@ def status(results: Results) -> pd.DataFrame:
 def tables_of(protocol: Protocol[Any]) -> dict[str, TableFunction]:
     """Tables of a protocol by name: the rows of its jobs, then those that are made of them."""
     module = import_module(f"{__package__}.{_MODULES[protocol.kind]}").__name__
-    rows = {name: methodcaller("part", name) for name in protocol.parts}
-    return rows | _TABLES[__name__] | _TABLES[module]
+    return {name: methodcaller("part", name) for name in protocol.parts} | _TABLES[__name__] | _TABLES[module]
 
 
 def run(

@@ -99,8 +99,7 @@ def _with_gains(study: StudySettings, folder: Path, seed: int, display: Progress
         return study.changed(controllers=StudySettings.from_yaml(file).controllers)
     controllers = dict(study.controllers)
     for name in study.tuned:
-        own = folder / "controllers" / name / GAINS_FILE
-        gains = tune_controller(study, name, own, folder, seed, display).gains
+        gains = tune_controller(study, name, folder / "controllers" / name / GAINS_FILE, folder, seed, display).gains
         controllers[name] = controllers[name].changed(settings=gains, tune=None)
     study = study.changed(controllers=controllers)
     write_yaml(file, study.model_dump(mode="json"))
@@ -153,8 +152,7 @@ def train_controller(
 
     def report(progress: Progress) -> None:
         reward = "" if math.isnan(progress.mean_reward) else f"mean reward {progress.mean_reward:.4f}"
-        done = min(progress.steps, progress.total_steps)
-        display.update(f"train {label}", done, progress.total_steps, reward)
+        display.update(f"train {label}", min(progress.steps, progress.total_steps), progress.total_steps, reward)
 
     if not resume:
         display.update(f"train {label}", 0, getattr(entry.settings, "total_steps", 0))
@@ -190,8 +188,7 @@ def tune_controller(
         write_text(file, gains_text(best.gains))
 
     display.update(f"tune {name}", 0, budget.evaluations)
-    search = Search(start, budget.evaluations, seed, budget.cases)
-    tuned = tune(entry.kind, [study.task], search, folder, report)
+    tuned = tune(entry.kind, [study.task], Search(start, budget.evaluations, seed, budget.cases), folder, report)
     made = CONTROLLERS[entry.kind][0](tuned.gains, study.task)
     found = counted_at_rest(made, study.task, STANDSTILLS, STANDSTILL_CASES)
     note = f"{rest_text(found)} (drawn plants and leaks, without sensor noise)"

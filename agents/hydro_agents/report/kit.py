@@ -331,8 +331,7 @@ def height_of(categories: int, names: int) -> float:
 def leak_axis(axes: Axes, leaks: Iterable[float]) -> None:
     """Scale the horizontal axis by the logarithm of the leak; a leak of zero stands at the left end."""
     levels = sorted(set(leaks))
-    least = min((level for level in levels if level > 0.0), default=1.0)
-    axes.set_xscale("symlog", linthresh=least, linscale=0.3)
+    axes.set_xscale("symlog", linthresh=min((level for level in levels if level > 0.0), default=1.0), linscale=0.3)
     marked = levels
     if len(levels) > 7:
         marked = [level for level in levels if level in (0.0, 0.01, 0.1, 0.3, 1.0, 4.0)]

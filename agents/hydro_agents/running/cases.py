@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.base import Controller, rows
 from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
@@ -61,13 +61,12 @@ class Cases:
     def part(self, first: int, last: int) -> "Cases":
         """The cases from ``first`` to before ``last``."""
         chosen = slice(first, last)
-        leak, families, faults = self.leakage_flow_lpm, self.families, self.faults
         return Cases(
             self.seeds[chosen],
-            None if leak is None else leak[chosen],
-            None if families is None else families[chosen],
+            rows(self.leakage_flow_lpm, chosen),
+            rows(self.families, chosen),
             self.parameters,
-            faults and {name: sizes[chosen] for name, sizes in faults.items()},
+            self.faults and {name: sizes[chosen] for name, sizes in self.faults.items()},
         )
 
     def chunks(self, size: int) -> "list[Cases]":
@@ -178,8 +177,7 @@ def run_cases(
             "reward": rewards,
         }
         for name, trace in traces.items():  # a failed axis keeps its values, while its reference continues
-            last = 0.0 if name == "reward" else trace[:, step - 1]
-            trace[:, step] = np.where(alive, now[name], last)
+            trace[:, step] = np.where(alive, now[name], 0.0 if name == "reward" else trace[:, step - 1])
         flow = np.where(alive, axes.column("leak_flow"), flow)
         failed_at[alive & terminated] = step
     env.close()

@@ -63,8 +63,7 @@ def diagnose(
     with shown(as_json):
         diagnosis = diagnose_recording(recording, config, mapped, window, windows)
         if before:
-            earlier = diagnose_recording(before, config, mapped, window, windows)
-            change = change_of(earlier, diagnosis, filling)
+            change = change_of(diagnose_recording(before, config, mapped, window, windows), diagnosis, filling)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line(), change.line if change else "")
     if as_json:
         facts = in_json(diagnosis)

@@ -159,11 +159,9 @@ def read_windows(windows: Windows, config: TaskConfig, threads: int | None = Non
     if not len(first):
         return detector.read_and_fit(windows, config)
     tell("estimator", 0, len(commanded))
-    hasty = EstimatorDetector(threads=threads, restarts=1)
-    reading, fitted = hasty.read_and_fit(windows.part(first), config)
+    reading, fitted = EstimatorDetector(threads=threads, restarts=1).read_and_fit(windows.part(first), config)
     tell("estimator", len(first), len(commanded))
-    unread = Reading.of(np.full(len(windows), np.nan), Cause.UNKNOWN, why=Why.NOT_READ)
-    reading = unread.replaced(first, reading)
+    reading = Reading.of(np.full(len(windows), np.nan), Cause.UNKNOWN, why=Why.NOT_READ).replaced(first, reading)
     if len(others) and fitted is not None and fitted.holds.any():
         usual = Counter(parts for parts in fitted.parts if parts).most_common(1)
         rest, more = detector.read_and_fit(windows.part(others), config, usual[0][0] if usual else ())

@@ -103,8 +103,7 @@ def draw_signals(axes: Sequence[Axes], time: Array, signals: Floats) -> None:
     """The signals (5, T) over time, one panel each of :data:`PANELS`."""
     for one, (factor, names) in zip(axes, PANELS.values(), strict=True):
         for name in names:
-            values = factor * signals[MEASURED.index(name)]
-            signal(one, time, values, label=name.replace("_", " "), linewidth=1.0)
+            signal(one, time, factor * signals[MEASURED.index(name)], label=name.replace("_", " "), linewidth=1.0)
 
 
 def scale_of_leaks(axes: Axes) -> None:

@@ -202,8 +202,7 @@ def leaks_in_a_part(case: Case) -> Verdict | None:
     faulty = np.flatnonzero(reading.sized & (reading.low_lpm > case.limits.fault))
     if not len(faulty):
         return None
-    last = faulty[-1]
-    leak = Leak(*reading.sizes[:, last])
+    leak = Leak(*reading.sizes[:, faulty[-1]])
     count = f"{len(faulty)} of {int(reading.sized.sum())} windows"
     why = f"the leak past the piston is {case.leak.text()}, but {count} read a faulty one, the last {leak.text()}"
     return case.answer(Kind.UNKNOWN, f"{why}; it may have just begun: record again")

@@ -188,8 +188,7 @@ def bound_of_windows(
 
     The runs are those of ``config``, the priors follow from ``known``; ``begin`` and ``duration`` of the windows in s.
     """
-    controller = ACTING[acting](config, len(cases), cases.seeds[0])
-    windows = known_windows(config, controller, cases, begin, duration)
+    windows = known_windows(config, ACTING[acting](config, len(cases), cases.seeds[0]), cases, begin, duration)
     found = np.full(len(cases), np.nan)
     found[windows.case] = bound(config, windows, priors_of(known), threads=1)
     return {"seed": cases.seeds.astype(float), "sigma_lpm": found}

@@ -51,8 +51,7 @@ class Commands(NamedTuple):
 
     def beginning(self, samples: int) -> Self:
         """The first samples."""
-        boundary = np.ascontiguousarray(self.boundary[:, :, :samples])
-        return type(self)(self.command[:, :samples], boundary)
+        return type(self)(self.command[:, :samples], np.ascontiguousarray(self.boundary[:, :, :samples]))
 
     def part(self, windows: Indices) -> Self:
         """Some of the windows."""

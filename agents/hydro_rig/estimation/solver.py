@@ -38,8 +38,7 @@ class Problem(NamedTuple):
 
     def part(self, windows: Indices) -> "Problem":
         """Some of the windows."""
-        errors = self.errors and self.errors.part(windows)
-        return Problem(self.model.part(windows), self.measured[windows], errors)
+        return Problem(self.model.part(windows), self.measured[windows], self.errors and self.errors.part(windows))
 
     def with_more(self, priors: Mapping[str, Prior]) -> "Problem":
         """The same windows with more unknowns behind the others."""
@@ -198,7 +197,7 @@ def _damped_steps(equations: Equations, scaled: Floats, level: Floats) -> Floats
 def _cost(weight: Floats, square: Floats, scaled: Floats, shared: Indices) -> Floats:
     """Cost of each window and trial, (B, …): weighted squares and prior; the sum of all windows if they share."""
     prior = scaled**2
-    costs: Floats = (weight * square).sum(axis=-1) + prior.sum(axis=-1)
+    costs = (weight * square).sum(axis=-1) + prior.sum(axis=-1)
     if len(shared):
         of_shared = prior[..., shared].sum(axis=-1)
         costs = np.broadcast_to((costs - of_shared).sum(axis=0) + of_shared[0], costs.shape)

@@ -6,13 +6,11 @@ axis, which takes about one percent of a core.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.activity import Activity, activity_of
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import TaskConfig
-from hydro_env.types import Floats
 from hydro_rig.estimation.estimator import EstimatorDetector
 
 RATION = 60.0  # s; the estimator reads no window of an axis before this time has passed since the last one
@@ -33,8 +31,8 @@ class TwoStageDetector:
 
     def __init__(self, head: HeadDetector, estimator: EstimatorDetector | None = None) -> None:
         self.head, self.estimator = head, estimator or EstimatorDetector()
-        self._asked: Floats = np.empty(0)  # s, end of the last window of each axis that the estimator read
-        self._named: NDArray[np.int8] = np.empty(0, np.int8)  # the cause that it then named
+        self._asked = np.empty(0)  # s, end of the last window of each axis that the estimator read
+        self._named = np.empty(0, np.int8)  # the cause that it then named
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """The reason if the head cannot read such windows."""

@@ -201,8 +201,7 @@ def fit_windows(windows: Windows, config: TaskConfig, ranges: Ranges, recording:
     Each window is fitted alone first. The common fit starts from the values of the window that fits all others best.
     ``ranges`` are those of the rig file; ``recording``: number of the recording of each window.
     """
-    priors = priors_of(config, unknowns_of(config, ranges, measured_in(windows)))
-    common = common_fit(windows, config, priors)
+    common = common_fit(windows, config, priors_of(config, unknowns_of(config, ranges, measured_in(windows))))
     return _summary(common, config, ranges, recording[np.isfinite(common.misfit)])
 
 

@@ -75,8 +75,7 @@ def simulate_held_back(
     gains of the sensors, latency and rise time, by name; others count here for nothing.
     """
     timing = {name: Prior(known[name], CERTAIN) for name in (LATENCY, RISE_TIME, *GAINS) if name in known}
-    bias = np.array([known.get(name, 0.0) for name in BIASES])[:, None]
-    rig = _Rig(config, to_vector(plant), bias, timing)
+    rig = _Rig(config, to_vector(plant), np.array([known.get(name, 0.0) for name in BIASES])[:, None], timing)
     period, count = config.control_period, max(round(START_FROM / config.control_period), 10)
     first = _first_known(part.signals[POSITION], count)
     signals, edge = part.signals[:, first:], part.boundary[:, first:]

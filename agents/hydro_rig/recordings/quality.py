@@ -139,8 +139,7 @@ def _stretch_with_motion(samples: Sampled, config: TaskConfig) -> Floats | None:
             if not np.isfinite(signals[row]).any():
                 signals[row] = usual
     whole = np.flatnonzero(np.isfinite(signals).all(axis=0))
-    stretches = np.split(whole, np.flatnonzero(np.diff(samples.place[whole]) != 1) + 1)
-    longest = max(stretches, key=len)
+    longest = max(np.split(whole, np.flatnonzero(np.diff(samples.place[whole]) != 1) + 1), key=len)
     if len(longest) < FEWEST_SAMPLES:
         return None
     signals = signals[:, longest[0] : longest[-1] + 1]

@@ -86,7 +86,7 @@ class AxisWatch:
         self._task_digest = hashlib.sha256(axis.task.model_dump_json().encode()).hexdigest()
         settings = AlarmSettings.load(config_folder() / "agents" / "alarm.yaml")
         self._alarm, self.interval = LeakAlarm(settings), settings.interval
-        self.memory: AlarmState = self._alarm.begin(1)
+        self.memory = self._alarm.begin(1)
         self.condition, self.since = Condition.NO_DATA, np.nan
         self._detector = TwoStageDetector(HeadDetector.load(), EstimatorDetector(threads=1))
         self._scale = leak_scale(self.task)
@@ -244,7 +244,7 @@ class FleetWatch:
         self.table = read_table(table_file)
         self.axes: dict[str, AxisWatch] = {}
         self._best: dict[str, Look] = {}  # the narrowest answer since the last row of the table
-        self._kept: ByName = {}
+        self._kept = {}
         if self._memory_file.exists():
             self._kept = read_json(self._memory_file)
 
@@ -319,8 +319,7 @@ class FleetWatch:
             del self._best[name]
 
     def _write(self, look: Look, best: Look) -> None:
-        kind = {Condition.GOOD: Kind.HEALTHY, Condition.CHECK: Kind.UNKNOWN}
-        verdict = kind.get(look.condition, Kind.OTHER)
+        verdict = {Condition.GOOD: Kind.HEALTHY, Condition.CHECK: Kind.UNKNOWN}.get(look.condition, Kind.OTHER)
         if self.axes[look.axis].memory.alarm[0]:
             verdict = Kind.LEAK
         row: ByName = dict(zip(SIZES, best.leak, strict=True))
