@@ -66,6 +66,11 @@ class Sensors(Group):
     )
     velocity_filter_time: Number = quantity(0.010, "s", "first-order filter of the differenced position", 0.0, 1.0)
 
+    @property
+    def in_order(self) -> list[Sensor]:
+        """The sensors of :data:`SENSORS`."""
+        return [getattr(self, name) for name in SENSORS]
+
     @whole_group
     def _possible(self) -> "Sensors":
         if not self.position.fitted:

@@ -15,7 +15,6 @@ from hydro_env.plant.parts.leakage import LEAK_LAWS
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.task.paces import full_speed, within_a_period
 from hydro_env.task.randomisation import own_value
-from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import SHEET, data_sheet
 from hydro_env.types import Floats, Singles
@@ -128,8 +127,8 @@ def sheet_of(config: TaskConfig, for_any_axis: bool = False) -> Sheet:
         spread=spread,
         leak_unit=LEAK_UNIT * leak_scale(config),
         transition=_candidate_valves(config),
-        sensor_low=np.array([getattr(sensors, name).low for name in SENSORS]),
-        sensor_high=np.array([getattr(sensors, name).high for name in SENSORS]),
+        sensor_low=np.array([sensor.low for sensor in sensors.in_order]),
+        sensor_high=np.array([sensor.high for sensor in sensors.in_order]),
         lowest_a=a.low + a.bias + 4.0 * a.noise,
         lowest_b=b.low + b.bias + 4.0 * b.noise,
         spool_noise=sensors.spool_position.noise + 1e-9,

@@ -27,7 +27,6 @@ from hydro_env.errors import at
 from hydro_env.files import Group, read_yaml, validate, whole_group
 from hydro_env.folders import config_file
 from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
-from hydro_env.task.sensors import SENSORS
 
 Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]
 
@@ -244,7 +243,7 @@ class StudySettings(Group):
         Raises:
             ConfigurationError: no controller is left.
         """
-        if all(getattr(self.task.sensors, name).fitted for name in SENSORS):
+        if all(sensor.fitted for sensor in self.task.sensors.in_order):
             return self
         controllers = {}
         for name, entry in self.controllers.items():

@@ -163,13 +163,14 @@ def overview(tables: Tables) -> pd.DataFrame:
 
 def ratios_of(rows: pd.DataFrame) -> pd.DataFrame:
     """Ratios of errors in rows of the comparison; every kind of reference weighs the same."""
-    frame = {
-        "equal weights": with_interval(rows, "equal_weight", 2),
-        "of repeatability": with_interval(rows, "equal_weight_sensor", 2),
-        "worst case": rows["worst_ratio"],
-        "better in, %": 100.0 * rows["share_better"],
-    }
-    return pd.DataFrame(frame)
+    return pd.DataFrame(
+        {
+            "equal weights": with_interval(rows, "equal_weight", 2),
+            "of repeatability": with_interval(rows, "equal_weight_sensor", 2),
+            "worst case": rows["worst_ratio"],
+            "better in, %": 100.0 * rows["share_better"],
+        }
+    )
 
 
 # Conditions -----------------------------------------------------------------------------------------------------------

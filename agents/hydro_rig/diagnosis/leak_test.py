@@ -27,7 +27,7 @@ from hydro_agents.running.text import number
 from hydro_env import ConfigurationError, TaskConfig, task_config
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.randomisation import Distribution, own_value
-from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS
+from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B
 from hydro_env.types import Floats, Mask
 from hydro_rig.diagnosis.diagnose import Diagnosis, Read, diagnosed
 from hydro_rig.estimation.estimate import SURE
@@ -135,7 +135,7 @@ def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None,
             f"{1e-5 * rating:.0f} bar: lower --speed, or test another --stop"
         )
     windows = simulated(task, steps, PLANTS)
-    fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
+    fitted = np.array([sensor.fitted for sensor in task.sensors.in_order])
     bound = smallest_deviation(task, windows, priors_of_test(task, fitted))
     return Plan(task, steps, bound, windows.signals, fastest)
 

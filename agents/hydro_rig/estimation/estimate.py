@@ -110,7 +110,7 @@ def usable_readings(signals: Floats, config: TaskConfig, model: Model) -> Floats
     """
     readings = signals[:, :COMMAND].copy()
     if config.sensors.enabled:
-        sensors = [getattr(config.sensors, channel) for channel in SENSORS]
+        sensors = config.sensors.in_order
         low = np.array([sensor.low + 3.0 * sensor.noise for sensor in sensors])[:, None]
         high = np.array([sensor.high - 3.0 * sensor.noise for sensor in sensors])[:, None]
         readings[~((readings > low) & (readings < high))] = np.nan

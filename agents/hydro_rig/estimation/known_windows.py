@@ -88,7 +88,7 @@ def known_windows(
     if not len(kept):
         raise ConfigurationError(f"windows: all {len(cases)} axes failed before the end of their window")
     signals = np.stack(watcher.columns, axis=2)[kept]
-    signals[:, [place for place, name in enumerate(SENSORS) if not getattr(config.sensors, name).fitted]] = np.nan
+    signals[:, [place for place, sensor in enumerate(config.sensors.in_order) if not sensor.fitted]] = np.nan
     return KnownWindows(
         signals=signals,
         leakage_flow_lpm=run.leakage_flow_lpm[kept],
@@ -136,8 +136,7 @@ def _physical(axes: Axes, axis: int) -> Floats:
 def _biases(axes: Axes) -> Floats:
     """Biases of the sensors of all axes now, (N, sensors), SI, offsets by a fault included."""
     offset = axes.column("fault")[:, [FAULTS.index(f"{name}_offset") for name in SENSORS]]
-    sensors = [getattr(axes.config.sensors, name) for name in SENSORS]
-    spans = np.array([sensor.high - sensor.low for sensor in sensors])
+    spans = np.array([sensor.high - sensor.low for sensor in axes.config.sensors.in_order])
     return axes.column("bias")[:, SENSOR_COLUMNS] + offset * spans
 
 

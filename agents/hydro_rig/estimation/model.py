@@ -53,9 +53,10 @@ def noise_of(config: TaskConfig) -> Floats:
 
     For exact sensors it is a millionth of their range, about the integrator's error.
     """
-    sensors = [getattr(config.sensors, channel) for channel in SENSORS]
     on = float(config.sensors.enabled)
-    return np.array([max(on * np.hypot(s.noise, s.resolution / 12**0.5), 1e-6 * (s.high - s.low)) for s in sensors])
+    return np.array(
+        [max(on * np.hypot(s.noise, s.resolution / 12**0.5), 1e-6 * (s.high - s.low)) for s in config.sensors.in_order]
+    )
 
 
 class Model:
