@@ -64,7 +64,7 @@ def _message(root: Schema, path: Path, given: Any, mistake: Mapping[str, Any]) -
     if kind == "value_error":  # of a validator of this project
         return f"{mistake['msg'].removeprefix('Value error, ')}{unit}"
     if "enum" in schema:
-        return one_of(given, map(str, schema["enum"]))
+        return one_of(given, [*map(str, schema["enum"])])
     if schema.get("type") in ("number", "integer"):
         return f"must be {_number_allowed(schema)}{unit}"
     if kind in ("model_type", "dict_type"):

@@ -26,11 +26,10 @@ def _plain(name: str) -> str:
     return name.casefold().replace("-", "_").replace(" ", "_")
 
 
-def unknown(given: object, known: Iterable[str], what: str = "") -> str:
+def unknown(given: object, known: Collection[str], what: str = "") -> str:
     """``unknown; did you mean pid? known: pid, ppo``, or ``unknown fault 'x'; known: …`` if ``what`` is ``fault``."""
-    names = list(known)
     name = f" {what} '{str(given)[:60]}'" if what else ""
-    return f"unknown{name}{did_you_mean(given, names) or ';'} known: {', '.join(names)}"
+    return f"unknown{name}{did_you_mean(given, known) or ';'} known: {', '.join(known)}"
 
 
 def refuse_unknown(place: str, names: Iterable[object], known: Collection[str], what: str) -> None:
@@ -44,19 +43,17 @@ def refuse_unknown(place: str, names: Iterable[object], known: Collection[str], 
             raise UnknownKeyError(f"{place}: {unknown(name, known, what)}")
 
 
-def one_of(given: object, known: Iterable[str]) -> str:
+def one_of(given: object, known: Collection[str]) -> str:
     """``must be one of drive, spool, ideal; did you mean spool?``: the same for one of few choices."""
-    names = list(known)
-    return f"must be one of {', '.join(names)}{did_you_mean(given, names)}"
+    return f"must be one of {', '.join(known)}{did_you_mean(given, known)}"
 
 
-def known_name(known: Iterable[str], what: str) -> AfterValidator:
+def known_name(known: Collection[str], what: str) -> AfterValidator:
     """For the type of a field: ``Annotated[str, known_name(FAMILIES, "family")]`` allows these names alone."""
-    names = tuple(known)
 
     def checked(name: str) -> str:
-        if name not in names:
-            raise ValueError(unknown(name, names, what))
+        if name not in known:
+            raise ValueError(unknown(name, known, what))
         return name
 
     return AfterValidator(checked)

@@ -106,16 +106,15 @@ class _Plant:
     def held(self, y: Floats, voltage: float) -> Held:
         """The limits that hold a state: it has reached them and its rate points beyond them."""
         rate = self.free_rate(y, voltage)
-        at_vapour = [y[row] <= VAPOUR_PRESSURE * (1.0 - _NEAR) and rate[row] < 0.0 for row in self.pressures]
-        vapour = tuple(map(int, at_vapour))
+        vapour = tuple(y[row] <= VAPOUR_PRESSURE * (1.0 - _NEAR) and rate[row] < 0.0 for row in self.pressures)
         slew = stroke = 0
         if self.limits.ideal_spool:  # it always equals the command
             return Held(slew, stroke, vapour)
         if abs(y[_SPOOL_VELOCITY]) >= self.limits.slew_limit * (1.0 - _NEAR):
-            side = int(np.sign(y[_SPOOL_VELOCITY]))
+            side = np.sign(y[_SPOOL_VELOCITY])
             slew = side if side * rate[_SPOOL_VELOCITY] > 0.0 else 0
         if abs(y[_SPOOL]) >= 1.0 - _NEAR:
-            side = int(np.sign(y[_SPOOL]))
+            side = np.sign(y[_SPOOL])
             stroke = side if side * y[_SPOOL_VELOCITY] > 0.0 else 0
         return Held(slew, stroke, vapour)
 

@@ -85,9 +85,7 @@ class References(Group):
             raise ValueError("weights: at least one family needs a positive weight")
         if self.weights.get("user", 0.0) > 0.0 and not self.user:
             raise ValueError("weights: family 'user' needs 'user', an array of positions in m")
-        if any(not 0.0 < t <= 2.0 for t in self.preview_times) or list(self.preview_times) != sorted(
-            set(self.preview_times)
-        ):
+        if list(self.preview_times) != sorted({time for time in self.preview_times if 0.0 < time <= 2.0}):
             raise ValueError("preview_times must rise, each within 0 (excluded) to 2 s")
         return self
 
