@@ -1,9 +1,7 @@
 """What the environments of one axis and of many share: their arrays, and a spec of plain data."""
 
 import dataclasses
-from collections.abc import Mapping
 from copy import deepcopy
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,6 @@ from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.types import Indices
 
-Given = TaskConfig | Mapping[str, Any] | str | Path | None  # what the environments take as a task
 Info = dict[str, Any]  # what the controller must not know, for evaluation
 NAMED = ("config", "task", "rig", "plant")  # keywords with possible file names
 

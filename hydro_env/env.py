@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from hydro_env.arguments import numbers, shown, whole_number
 from hydro_env.axes import COLUMN, AxesState
-from hydro_env.common import AxisEnvironment, Given, Info
+from hydro_env.common import AxisEnvironment, Info
 from hydro_env.errors import ConfigurationError
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.task.configuration import task_config
+from hydro_env.task.configuration import Given, task_config
 from hydro_env.task.record import FAILURES
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS

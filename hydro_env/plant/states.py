@@ -167,7 +167,7 @@ def valid_range(c):
     """
     stop = c.end_stop_position
     dead_volume = min(c.volume_a0 - c.area_a * stop, c.volume_b0 - c.area_b * stop)
-    reach = c.end_stop_position + 0.5 * dead_volume / max(c.area_a, c.area_b)
+    reach = stop + 0.5 * dead_volume / max(c.area_a, c.area_b)
     slew = c.slew_limit * (1.0 + 1e-9)
     floor, ceiling = VAPOUR_PRESSURE * (1.0 + 1e-9), 2e8
     lowest = State(

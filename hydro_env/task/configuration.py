@@ -249,13 +249,16 @@ class TaskConfig(Group):
         return task_config(path, **overrides)
 
 
+Given = TaskConfig | Mapping[str, Any] | str | Path | None  # what gives a task
+
+
 def preview_count(time: float, period: float) -> int:
     """Control periods by which the preview for a nominal time, s, looks ahead: the nearest number, at least one."""
     return max(round(time / period), 1)
 
 
 def task_config(
-    config: TaskConfig | Mapping[str, Any] | str | Path | None = None,
+    config: Given = None,
     *,
     task: str | Path | None = None,
     rig: str | Path | None = None,

@@ -129,8 +129,7 @@ class ObservationLayout:
     def previews(self, observation: Observation) -> Floats:
         """Future reference minus present reference, m, shape (N, previews)."""
         columns = [i for i, name in enumerate(self.names) if name.startswith("reference_preview_")]
-        scale = np.array([self.scale[i] for i in columns], float)
-        return observation[:, columns].astype(np.float64) * scale
+        return observation[:, columns].astype(np.float64) * np.array(self.scale)[columns]
 
 
 def shown_time(time: float, period: float) -> float:

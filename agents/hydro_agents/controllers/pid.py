@@ -90,10 +90,8 @@ class PID(ClassicalController):
     def act(self, batch: Observation, state: PIDState | None, episode_start: Mask | None) -> tuple[Floats, PIDState]:
         """See :meth:`~hydro_agents.controllers.base.ClassicalController.act`."""
         g, period = self.gains, self.layout.control_period
-        error = self.layout.si(batch, "tracking_error")
-        position = self.layout.si(batch, "position")
-        command_before = self.layout.si(batch, "previous_command")
-        reference = self.layout.si(batch, "reference")
+        names = ("tracking_error", "position", "previous_command", "reference")
+        error, position, command_before, reference = (self.layout.si(batch, name) for name in names)
         if len(self._shown):
             ahead = np.concatenate([np.zeros((len(batch), 1)), self.layout.previews(batch)[:, self._shown]], axis=1)
             speeds = np.diff(ahead, axis=1) / np.diff(self._times)

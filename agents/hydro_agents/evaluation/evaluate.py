@@ -21,6 +21,7 @@ from hydro_agents.running.jobs import Report
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
 from hydro_env import TaskConfig, task_config
 from hydro_env.files import validate
+from hydro_env.task.configuration import Given
 
 
 class ProtocolSettings(PairedCases):
@@ -52,7 +53,7 @@ class ProtocolSettings(PairedCases):
 
 
 def evaluate(
-    task: TaskConfig | Mapping[str, Any] | str | Path | None,
+    task: Given,
     controllers: Mapping[str, Controller | str | Path],
     settings: ProtocolSettings | Mapping[str, Any] | None = None,
     progress: Report | None = None,

@@ -224,8 +224,10 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
     rows.append(("recommended gain", friction, recommended, "1/m", "recommended gain"))
     for which, gain, weak in (("own values", quiet.own, healthy), ("worst in the ranges", quiet.worst, worst)):
         at, margin = f"recommended gain, {which}", 20.0 * math.log10(gain / recommended)
-        rows.append(("largest quiet gain", f"{which}, {friction}", gain, "1/m", f"quiet, {which}"))
-        rows.append(("gain margin", f"{at}, {friction}", margin, "dB", f"gain margin, {which}"))
+        rows += [
+            ("largest quiet gain", f"{which}, {friction}", gain, "1/m", f"quiet, {which}"),
+            ("gain margin", f"{at}, {friction}", margin, "dB", f"gain margin, {which}"),
+        ]
         if weak:
             phase = _figure(weak.loop.phase_margin, recommended)
             rows.append(("phase margin", f"{at}, without friction", phase, "°", f"phase margin, {which}"))
@@ -253,8 +255,10 @@ def _resonances(task: TaskConfig, place: float, gain: list[Any]) -> list[Row]:
     for number, mode in enumerate(modes, 1):
         what = f"oscillation {number}, {RESONATES.get(mode.state.split('_')[0], 'mass on its oil')}"
         frequency = mode.natural_frequency / (2.0 * math.pi)
-        rows.append((what, place_text(place), frequency, "Hz", f"resonance {number}"))
-        rows.append(("its damping ratio", what, mode.damping_ratio, "1", f"resonance {number} alone"))
+        rows += [
+            (what, place_text(place), frequency, "Hz", f"resonance {number}"),
+            ("its damping ratio", what, mode.damping_ratio, "1", f"resonance {number} alone"),
+        ]
         for recommended in gain:
             value = complex(np.exp(mode.eigenvalue * task.control_period))
             for part in np.linspace(0.0, recommended, 41):

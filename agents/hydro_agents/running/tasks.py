@@ -11,7 +11,7 @@ from hydro_env.errors import at
 from hydro_env.files import Group, validate, whole_group
 from hydro_env.mistakes import did_you_mean, refuse_unknown
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, grouped
-from hydro_env.task.faults import FAULTS
+from hydro_env.task.faults import FAULT_KINDS, FAULTS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
 from hydro_env.task.rig import merged, task_from
 from hydro_env.task.sensors import CHANNELS
@@ -39,7 +39,7 @@ def steady(config: TaskConfig) -> TaskConfig:
         config,
         disturbance={"kind": "none"},
         leakage={"schedule": "constant"},
-        faults={kind: {"schedule": "constant"} for kind in type(config.faults).model_fields},
+        faults={kind: {"schedule": "constant"} for kind in FAULT_KINDS},
     )
 
 

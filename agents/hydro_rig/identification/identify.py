@@ -87,8 +87,7 @@ class Identification:
         found = []
         for recording, checked, changes in zip(self.recordings, self.checked, self.parts.findings, strict=True):
             name = f"{Path(recording.source).name}: " if len(self.recordings) > 1 else ""
-            for finding in (*checked.findings, *changes):
-                found.append(finding._replace(signal=name + finding.signal))
+            found += [one._replace(signal=name + one.signal) for one in (*checked.findings, *changes)]
         return found
 
     @property

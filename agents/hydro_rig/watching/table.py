@@ -53,8 +53,9 @@ def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
         if not place.exists():
             raise ConfigurationError(f"{place}: does not exist")
         single, recordings = place.is_file(), 0
+        folder = place.parent if single else place
         for path in [place] if single else sorted(place.rglob("*")):
-            parts = path.relative_to(place.parent if single else place).parts
+            parts = path.relative_to(folder).parts
             hidden = not single and any(part.startswith((".", "_")) for part in parts)
             if hidden or not path.is_file() or path.resolve() in own:
                 continue
@@ -62,7 +63,7 @@ def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
                 others[path.suffix or path.name] += 1
                 continue
             recordings += 1
-            axis, name = axis_of(parts, (place.parent if single else place).resolve().name)
+            axis, name = axis_of(parts, folder.resolve().name)
             same = found.setdefault(name, File(path, axis, name, path.stat().st_size))
             if same.path.resolve() != path.resolve():
                 raise ConfigurationError(f"{path}: {same.path} is '{name}' as well; give the folder above both")
