@@ -92,13 +92,13 @@ class Axes:
         self.tasks = rig_tasks(config)
         structures = [task.plant.structure for task in self.tasks]
         self._tips = np.array([structure.tip for structure in structures])
-        self.has_tip = bool(self._tips.any())  # whether any rig of the task has a second mass
+        self.has_tip = self._tips.any()  # whether any rig of the task has a second mass
         self._has_waves = any(structure.lines for structure in structures)
         self._kinds = sorted(set(structures))
         self._kind_of_rig = np.array([self._kinds.index(structure) for structure in structures])
         self._task = np.concatenate([settings_of(task) for task in self.tasks])
         self._layout = np.stack([layout_of(task, config.law) for task in self.tasks])
-        samples = int(self._task["samples"].max())
+        samples = self._task["samples"].max()
         try:
             self.arrays = AxisArrays(
                 record=table(count, RECORD),

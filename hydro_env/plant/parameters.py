@@ -114,7 +114,7 @@ def _fields() -> ByName:
 PARAMETER_PATHS: tuple[str, ...] = tuple(_fields())  # group.field of every parameter, in the order of to_vector
 
 PARAMETER_UNITS: dict[str, str] = {
-    path: str((info.json_schema_extra or {}).get("unit", "1")) for path, info in _fields().items()
+    path: (info.json_schema_extra or {}).get("unit", "1") for path, info in _fields().items()
 }
 """Unit of each parameter."""
 

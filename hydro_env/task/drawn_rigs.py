@@ -40,7 +40,7 @@ def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[ByName, dic
     between = partial(_log_uniform, draw)
 
     def often(share: float) -> bool:
-        return bool(draw.random() < share)
+        return draw.random() < share
 
     bore = int(draw.choice(list(law.cylinders)))
     rod = int(draw.choice(law.cylinders[bore]))

@@ -190,8 +190,8 @@ def lap_and_knee(curve: str, lap: float | None = None) -> tuple[float, float, fl
     opening = np.clip(((flow - above) * below).sum(-1) / weight, 0.01, 0.99)
     rest = np.abs(flow - above - opening[..., None] * below)
     best = np.unravel_index(np.argmin((rest**2).sum(-1)), knee.shape)
-    lap, position, part = (rounded(float(values[best])) for values in (overlap, knee, opening))
-    return lap, position, part, float(rest[best].max())
+    lap, position, part = (rounded(values[best]) for values in (overlap, knee, opening))
+    return lap, position, part, rest[best].max()
 
 
 def curve_fit(figures: Figures) -> tuple[float, float, float, float] | None:

@@ -137,7 +137,7 @@ def data_sheet(config: TaskConfig) -> dict[str, float]:
         "supply": plant.supply.pressure / 100e5,
         "spool_sensor": config.sensors.spool_position.fitted,
     }
-    return {name: float(np.clip(values[name], -SHEET_LIMIT, SHEET_LIMIT)) for name in SHEET}
+    return {name: np.clip(values[name], -SHEET_LIMIT, SHEET_LIMIT) for name in SHEET}
 
 
 def layout_of(config: TaskConfig, law: RigLaw | None = None) -> Array:

@@ -147,7 +147,7 @@ def _interpolate(time: float, times: Floats, values: Floats) -> Floats:
     """Each row of ``values`` (N, times) at ``time``, interpolated; constant beyond the ends."""
     if len(times) == 1:
         return values[:, 0]
-    at = min(max(time, float(times[0])), float(times[-1]))
-    column = min(max(int(np.searchsorted(times, at)), 1), len(times) - 1)
+    at = min(max(time, times[0]), times[-1])
+    column = min(max(np.searchsorted(times, at), 1), len(times) - 1)
     weight = (at - times[column - 1]) / (times[column] - times[column - 1])
     return values[:, column - 1] * (1.0 - weight) + values[:, column] * weight

@@ -183,11 +183,11 @@ def _lengths(
     shortest, longest = config.steps, settings.longest_window(config)
     # Whole lengths in a few steps: the windows of one length are read together.
     choices = np.unique(np.geomspace(shortest, longest, 5).round().astype(int))
-    sizes = [int(generator.choice(choices) if turn % 2 else choices[0]) for turn in range(WINDOWS)]
+    sizes = [generator.choice(choices) if turn % 2 else choices[0] for turn in range(WINDOWS)]
     if not changing:
         return sizes, longest + longest // 4
-    size = int(generator.choice(sizes))
-    before = int(generator.integers(shortest)) if generator.random() > AT_START else 0
+    size = generator.choice(sizes)
+    before = generator.integers(shortest) if generator.random() > AT_START else 0
     return [size], size + before
 
 

@@ -324,4 +324,4 @@ def threshold_at_false_alarm_rate(healthy_scores: Array, rate: float) -> float:
     allowed = int(rate * len(ordered))
     if allowed >= len(ordered):
         return 0.0
-    return float(np.nextafter(ordered[allowed], np.inf))
+    return np.nextafter(ordered[allowed], np.inf)

@@ -220,7 +220,7 @@ def case_metrics(rollout: Rollout, case: int, period: float, is_step: bool, prev
         "reversals_per_s": reversals(command) / (period * len(command)),
         "supply_energy_j": power.sum(dtype=float) * period,
         RETURN: reward.sum(dtype=float),
-        "failed": float(rollout.failed_at[case] >= 0),
+        "failed": rollout.failed_at[case] >= 0,
     }
 
 

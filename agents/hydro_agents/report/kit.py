@@ -298,7 +298,7 @@ def draw(
         factor: from the unit of the table to that of the figure.
     """
     labels = list(dict.fromkeys(table[over]))
-    in_rows = bool(labels) and isinstance(labels[0], str)
+    in_rows = labels and isinstance(labels[0], str)
     apart = 2.0  # points, so that no interval covers another one
     if in_rows:
         apart, table = 7.0, table.assign(**{over: table[over].map(labels.index)})

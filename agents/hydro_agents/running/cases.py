@@ -237,7 +237,7 @@ def family_errors(
     The error is that of the true position, or, with ``sensor_frame``, of the position with the bias of its sensor.
     """
     families = [name for name, weight in config.references.weights.items() if weight > 0.0]
-    seeds = np.tile(np.array(SCALES.take(plants, SCALES.count - plants)), len(families))
+    seeds = np.tile(SCALES.take(plants, SCALES.count - plants), len(families))
     run = run_cases(config, controller, Cases(seeds, families=np.repeat(families, plants)))
     position: Array = run.position
     if sensor_frame:

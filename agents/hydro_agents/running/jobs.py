@@ -115,7 +115,7 @@ def fingerprint(participant: Any) -> str:
         made_in = participant if inspect.isfunction(participant) else type(participant)
         source = Path(inspect.getfile(made_in)).read_bytes()
     try:
-        return str(joblib.hash((joblib.hash(participant), source)))
+        return joblib.hash((joblib.hash(participant), source))
     except Exception:  # a user's object may raise anything
         return ""
 

@@ -114,7 +114,7 @@ def counted_at_rest(
     rows = pd.DataFrame(standstill_metrics(rollout, task))
     sensor = config.sensors.position
     loud = 1e6 * max(NOISES * sensor.noise, sensor.resolution)
-    return counted(rows) | {"ringing": int((rows["amplitude_um"] > loud).sum())}
+    return counted(rows) | {"ringing": (rows["amplitude_um"] > loud).sum()}
 
 
 def comes_to_rest(counts: ByName) -> bool:

@@ -280,7 +280,7 @@ def quantities(common: Common) -> Quantities:
     for place, value, error in zip(joint.shared, joint.common, reach, strict=True):
         name = model.names[place]
         if name == LEAKAGE or name in WEAR or name.startswith("valve."):
-            found[name] = Interval(*model.priors[name].value(value + error * np.array([0.0, -1.0, 1.0])))
+            found[name] = Interval(*model.priors[name].value(value + error * np.array([0.0, -1.0, 1.0])).tolist())
     return found
 
 

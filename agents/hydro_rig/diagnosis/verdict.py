@@ -261,7 +261,7 @@ def combined(reading: Reading) -> tuple[Leak, str]:
     value, below, above = np.median(leak), np.median(leak - low), np.median(high - leak)
     if len(leak) >= 3:
         below, above = np.maximum([below, above], HALF_WIDTH * 1.483 * np.median(np.abs(leak - value)))
-    return Leak(value, value - below, value + above), change
+    return Leak(*map(float, (value, value - below, value + above))), change
 
 
 def _why_nothing(case: Case) -> str:

@@ -76,7 +76,7 @@ def volume_leak(recording: Recording, config: TaskConfig) -> Balance | None:
         what = f"fits a piston of {1e4 * own:.3g} cm² in chamber a, but the rig has {1e4 * area:.3g} cm²: its unit or "
         return _none(moves, what + "sign, the unit of the position, or the bore of the rig is wrong")
     reach = student.ppf(0.5 + 0.5 * COVERAGE, max(left - len(found), 1)) * deviation[1]
-    leak = Leak(*(unit * (found[1] + reach * np.array([0.0, -1.0, 1.0]))))
+    leak = Leak(*(unit * (found[1] + reach * np.array([0.0, -1.0, 1.0]))).tolist())
     if leak.high < 0.0:
         what = "gives a negative leak in the balance of volumes: it depends on more than speed and pressures"
         return _none(moves, what)

@@ -160,7 +160,7 @@ def _with_unit(path: str, value: Any) -> Any:
 def _line(key: str, value: Any) -> str:
     """One entry of a YAML mapping in one line."""
     text = yaml.safe_dump({key: value}, sort_keys=False, allow_unicode=True, default_flow_style=True, width=math.inf)
-    return str(text).strip()[1:-1]
+    return text.strip()[1:-1]
 
 
 class Shown(NamedTuple):

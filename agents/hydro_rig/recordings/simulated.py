@@ -76,7 +76,7 @@ def record_axis(
     )
     signals, run = measured_run(config, controller, cases)
     failed = run.failed_at[0] >= 0
-    rows = int(run.failed_at[0]) + 1 if failed else config.steps
+    rows = run.failed_at[0] + 1 if failed else config.steps
     duration = rows * config.control_period
     write_text(path, recording_csv(np.arange(rows) * config.control_period, signals[0, :, :rows], note))
     return Recorded(rows, duration, float(run.leakage_flow_lpm[0]), duration if failed else None)
