@@ -17,7 +17,7 @@ from typing import Any, TypeVar, cast
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
+OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
 """Division follows NumPy; a product and a sum may become one instruction; other Python threads may run.
 
 On one processor the same source gives the same bits, independent of other plants in the run. Between processors with

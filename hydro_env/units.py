@@ -15,7 +15,7 @@ LEAKAGE_TEST_PRESSURE = 100e5  # pressure difference (Pa) for quoting a leak: 10
 FULL_VOLTAGE = 10.0  # largest input of the valve's amplifier (V); a command of 1
 
 
-UNITS: dict[str, dict[str, float]] = {
+UNITS = {
     "m": {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "in": 0.0254, "um": 1e-6, "µm": 1e-6},
     "m³": {"l": 1e-3, "cm³": 1e-6, "ml": 1e-6, "dm³": 1e-3, "m³": 1.0},
     "m/s": {"mm/s": 1e-3, "m/s": 1.0, "m/min": 1.0 / 60.0},

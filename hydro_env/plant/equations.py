@@ -45,7 +45,7 @@ from hydro_env.plant.parts.valve import (
 )
 from hydro_env.plant.states import LineState, State, Structure, TipState, error_weights, state_kind
 
-_PARTS: tuple[Any, ...] = (
+_PARTS = (
     ChamberCoefficients,
     EdgeCoefficients,
     ValveCoefficients,

@@ -111,14 +111,14 @@ def _fields() -> ByName:
     }
 
 
-PARAMETER_PATHS: tuple[str, ...] = tuple(_fields())  # group.field of every parameter, in the order of to_vector
+PARAMETER_PATHS = tuple(_fields())  # group.field of every parameter, in the order of to_vector
 
 PARAMETER_UNITS: dict[str, str] = {
     path: (info.json_schema_extra or {}).get("unit", "1") for path, info in _fields().items()
 }
 """Unit of each parameter."""
 
-MODEL_CODES: dict[str, tuple[str, ...]] = {
+MODEL_CODES = {
     path: get_args(info.annotation) for path, info in _fields().items() if get_origin(info.annotation) is Literal
 }
 """Choices of each field that names a model; a parameter vector holds the index of the choice."""

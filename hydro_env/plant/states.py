@@ -107,8 +107,8 @@ def _infos(*kinds: Any) -> dict[str, StateInfo]:
     return {name: hint.__metadata__[0] for found in hints for name, hint in found.items()}
 
 
-STATES: dict[str, StateInfo] = _infos(State)
-ALL_STATES: dict[str, StateInfo] = _infos(State, LineState, TipState)  # of every part, in the order of state_kind
+STATES = _infos(State)
+ALL_STATES = _infos(State, LineState, TipState)  # of every part, in the order of state_kind
 
 N_ALL_STATES = len(ALL_STATES)
 

@@ -111,7 +111,7 @@ class Faults(Group):
     sensor_dropout: SensorDropout = SensorDropout()
 
 
-FAULT_KINDS: tuple[str, ...] = tuple(Faults.model_fields)  # names of the kinds
+FAULT_KINDS = tuple(Faults.model_fields)  # names of the kinds
 SIGNED_KINDS = ("valve_null_shift", "valve_flow", "sensor_offset", "sensor_gain")  # their size may be negative
 
 
@@ -122,10 +122,10 @@ def faults_of(kind: str, sensors: Sequence[str] = CHANNELS) -> list[str]:
     return [f"{channel}_{kind.removeprefix('sensor_')}" for channel in sensors]
 
 
-FAULTS: tuple[str, ...] = tuple(name for kind in FAULT_KINDS for name in faults_of(kind))
+FAULTS = tuple(name for kind in FAULT_KINDS for name in faults_of(kind))
 """Every single fault; those of sensors with the name of the sensor: ``position_offset``, ``pressure_a_freeze``, …"""
 
-KIND_OF_FAULT: dict[str, str] = {name: kind for kind in FAULT_KINDS for name in faults_of(kind)}  # kind of each fault
+KIND_OF_FAULT = {name: kind for kind in FAULT_KINDS for name in faults_of(kind)}  # kind of each fault
 
 
 def fault_limits(name: str) -> tuple[float, float]:

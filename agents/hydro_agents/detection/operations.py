@@ -172,7 +172,7 @@ ACTING: dict[str, Callable[[TaskConfig, int, int], Controller]] = {
 }
 """Controllers of the axes, by name, from task, number of axes and seed."""
 
-MOTIONS: dict[str, Callable[[TaskConfig], TaskConfig]] = {
+MOTIONS = {
     "ordinary": lambda config: config,  # all kinds of reference
     "slow": slow,
     "standing still": at_rest,

@@ -40,7 +40,7 @@ class Question(NamedTuple):
         return self.name.replace("-", "_")
 
 
-_ASKED: dict[str, tuple[tuple[Any, ...], ...]] = {
+_ASKED = {
     "cylinder": (
         ("bore", "m", "63 mm", "Diameter of the bore.", True),
         ("rod", "m", "36 mm", "Diameter of the rod (chamber b).", True),

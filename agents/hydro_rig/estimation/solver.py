@@ -25,7 +25,7 @@ DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # factors on the damping; the best
 SMALL_DAMPING = 1e-2  # damping up to which a step is nearly a Gauss–Newton step
 BLOCK = 20  # number of samples per block; the mean residual of each block is tested
 
-NONE_SHARED: Indices = np.empty(0, np.int64)
+NONE_SHARED = np.empty(0, np.int64)
 _display: ContextVar[Report | None] = ContextVar("display", default=None)
 
 

@@ -23,7 +23,7 @@ ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_
 
 _PARTS = {"V": 1.0 / FULL_VOLTAGE, "%": 1e-2, "1": 1.0, "-": 1.0, "mV": 1e-3 / FULL_VOLTAGE}
 
-UNITS: dict[str, dict[str, float]] = {
+UNITS = {
     "time": QUANTITIES["s"] | {"d": 86400.0},
     "position": QUANTITIES["m"],
     "pressure_a": QUANTITIES["Pa"],

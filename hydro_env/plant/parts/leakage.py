@@ -56,7 +56,7 @@ class Law(NamedTuple):
 LeakLaw = Literal["laminar", "orifice"]
 """Laws of the leak past the piston."""
 
-LEAK_LAWS: dict[LeakLaw, Law] = {
+LEAK_LAWS = {
     "laminar": Law("internal_resistance", "leakage_conductance", LEAKAGE_TEST_PRESSURE, resists=True),
     "orifice": Law("orifice_gain", "leakage_orifice_gain", math.sqrt(LEAKAGE_TEST_PRESSURE)),
 }
