@@ -1,7 +1,7 @@
 """The Gymnasium environment of one servo axis."""
 
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -12,15 +12,13 @@ from hydro_env.axes import COLUMN, AxesState
 from hydro_env.common import AxisEnvironment, Info
 from hydro_env.errors import ConfigurationError
 from hydro_env.plant.parameters import PlantParameters
+from hydro_env.rendering import AxisRenderer
 from hydro_env.task.configuration import Given, task_config
 from hydro_env.task.record import FAILURES
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.types import ByName, Singles
 from hydro_env.units import resistance_from_flow
-
-if TYPE_CHECKING:
-    from hydro_env.rendering import AxisRenderer
 
 Observation = Singles
 _FLOW, _CLASS, _POSITION, _VELOCITY, _REFERENCE = (
@@ -281,8 +279,6 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, Singles]):
             gym.logger.warn("render() draws nothing without a render_mode; give one to gym.make")
             return None
         self._require_begun("render")
-        from hydro_env.rendering import AxisRenderer
-
         if not self._renderer:
             self._renderer = AxisRenderer(self.render_mode)
         return self._renderer.draw(self._axes, self._history, self._periods_per_frame() * self._task.control_period)

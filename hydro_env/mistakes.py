@@ -59,8 +59,11 @@ def known_name(known: Collection[str], what: str) -> AfterValidator:
     return AfterValidator(checked)
 
 
+Kept = list[ConfigurationError]  # of the parts of a file
+
+
 @contextmanager
-def kept(errors: list[ConfigurationError]) -> Iterator[None]:
+def kept(errors: Kept) -> Iterator[None]:
     """Keep the error of one part of a file, so that the other parts are read as well; :func:`refuse` raises them."""
     try:
         yield

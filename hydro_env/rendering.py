@@ -6,16 +6,14 @@ pygame is imported only when a renderer is made; ``rgb_array`` draws on plain su
 import math
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
+from hydro_env.axes import Axes
 from hydro_env.plant.states import State
-
-if TYPE_CHECKING:
-    from hydro_env.axes import Axes
 
 BAR = 1e5  # Pa
 WIDTH, HEIGHT = 960, 540
@@ -55,7 +53,7 @@ class AxisRenderer:
         self._closed = False
 
     def draw(
-        self, axes: "Axes", history: Sequence[tuple[float, float]], frame_time: float = 0.0
+        self, axes: Axes, history: Sequence[tuple[float, float]], frame_time: float = 0.0
     ) -> NDArray[np.uint8] | None:
         """Draw the first axis now; a window waits until ``frame_time`` (s) after the last frame.
 

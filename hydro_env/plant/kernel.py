@@ -155,8 +155,7 @@ def lanes_of(structure: Structure) -> Lanes:
     def stage(number: int) -> Any:
         known = [*_STAGE_NAMES[: number - 1], "derivative"]
         trial = f"{place['trial']} = {place['state']} + {total(STAGES[number - 1], known)}"
-        kept = f"{place[_STAGE_NAMES[number - 1]]} = {place['derivative']}"
-        return lane_function("work", size, LANES, trial, kept)
+        return lane_function("work", size, LANES, trial, f"{place[_STAGE_NAMES[number - 1]]} = {place['derivative']}")
 
     columns = columns_of(structure)
     error = f"{place['error']} = {total(ERROR, [*_STAGE_NAMES, 'derivative'])}"

@@ -33,8 +33,7 @@ def groups(quantiles: Floats, change: Array, widths: Array, changing: float) -> 
 
     ``widths`` are the bounds between the widths, ``changing`` is the smallest change that counts.
     """
-    width = np.searchsorted(widths, quantiles[:, 2] - quantiles[:, 0])
-    return WIDTHS * (change > changing).astype(np.int64) + width
+    return WIDTHS * (change > changing).astype(np.int64) + np.searchsorted(widths, quantiles[:, 2] - quantiles[:, 0])
 
 
 def intervals(quantiles: Floats, distance: Array) -> Floats:

@@ -17,11 +17,11 @@ from pydantic import Field, StringConstraints
 
 from hydro_agents.running.jobs import Job
 from hydro_agents.running.tasks import Surroundings, mappings, read_task
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.errors import at
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.mistakes import kept, refuse
+from hydro_env.mistakes import Kept, kept, refuse
 from hydro_env.types import ByName
 
 
@@ -71,7 +71,7 @@ class Protocol(Group, Generic[AnyCondition]):
         raise NotImplementedError
 
     @classmethod
-    def prepare(cls, values: ByName, file: Path, errors: list[ConfigurationError]) -> None:
+    def prepare(cls, values: ByName, file: Path, errors: Kept) -> None:
         """Replace what a kind of protocol names by its content, such as files beside its own; errors are collected."""
 
     @classmethod
@@ -82,7 +82,7 @@ class Protocol(Group, Generic[AnyCondition]):
             ConfigurationError: unreadable file, unknown key, impossible value, or a condition without a possible task.
         """
         values, file = read_yaml(path), Path(path)
-        errors: list[ConfigurationError] = []
+        errors: Kept = []
         with kept(errors):
             if "task" in values:
                 values["task"] = read_task(values.pop("task"), file)
@@ -116,7 +116,7 @@ class Protocol(Group, Generic[AnyCondition]):
             ConfigurationError: the changed task is impossible; the message names the condition.
         """
         tasks = {}
-        errors: list[ConfigurationError] = []
+        errors: Kept = []
         for name in self.conditions:
             with kept(errors):
                 tasks[name] = self.changed_task(name)

@@ -23,7 +23,7 @@ from hydro_agents.running.tasks import between, mappings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.errors import at
 from hydro_env.files import Group, read_yaml, whole_group
-from hydro_env.mistakes import kept, known_name
+from hydro_env.mistakes import Kept, kept, known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.rig import merged
@@ -127,7 +127,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
             yield Cell(table, name, condition, {**known, "controller": controller, "training_seed": seed}, jobs)
 
     @classmethod
-    def prepare(cls, values: ByName, file: Path, errors: list[ConfigurationError]) -> None:
+    def prepare(cls, values: ByName, file: Path, errors: Kept) -> None:
         """Read the gains of controllers for a condition."""
         for condition in mappings(values.get("conditions")).values():
             chosen: Any = condition.get("controllers")

@@ -26,7 +26,7 @@ from hydro_env import ConfigurationError, PlantParameters, TaskConfig, task_conf
 from hydro_env.errors import at
 from hydro_env.files import Group, read_yaml, validate, whole_group
 from hydro_env.folders import config_file
-from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
+from hydro_env.mistakes import Kept, did_you_mean, kept, refuse, unknown
 
 Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]
 
@@ -108,7 +108,7 @@ class StudySettings(Group):
             ConfigurationError: unreadable file, unknown key or impossible value.
         """
         values, file = read_yaml(path), Path(path)
-        errors: list[ConfigurationError] = []
+        errors: Kept = []
         with kept(errors):
             if "task" in values:
                 values["task"] = read_task(values.pop("task"), file)
@@ -130,7 +130,7 @@ class StudySettings(Group):
         Raises:
             ConfigurationError: a controller cannot be made, or settings contradict each other.
         """
-        errors: list[ConfigurationError] = []
+        errors: Kept = []
         for name in self.controllers:
             with kept(errors), at(f"{source}: controllers.{name}"):
                 self._check_controller(name)

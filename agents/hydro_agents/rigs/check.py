@@ -58,7 +58,7 @@ class RigFigure(NamedTuple):
         return self.value if isinstance(self.value, str) else format(self.value, digits)
 
 
-Row = tuple[Any, ...]  # the fields of a figure after its group
+Rows = list[tuple[Any, ...]]  # the fields of figures after their group
 
 
 def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig | None = None) -> list[RigFigure]:
@@ -115,7 +115,7 @@ def resting_place(parameters: PlantParameters) -> float:
     return held[len(held) // 2]
 
 
-def _geometry(parameters: PlantParameters) -> list[Row]:
+def _geometry(parameters: PlantParameters) -> Rows:
     c, half = plant_coefficients(parameters), 0.5 * parameters.cylinder.stroke
     rows = [
         ("area a (bore side)", "", c.area_a / SQUARE_CENTIMETRE, "cm²"),
@@ -128,13 +128,13 @@ def _geometry(parameters: PlantParameters) -> list[Row]:
     return rows
 
 
-def _valve(parameters: PlantParameters) -> list[Row]:
+def _valve(parameters: PlantParameters) -> Rows:
     c, supply, valve = plant_coefficients(parameters), parameters.supply, parameters.valve
     spool_per_volt = c.drive_rate / c.coil_rate * c.spool_gain
     drop = supply.pressure - supply.tank_pressure
     rated = f"{valve.rated_pressure_drop / BAR:g} bar over both edges"
     flow = c.edge_gain * math.sqrt(0.5 * drop)
-    rows: list[Row] = [
+    rows: Rows = [
         ("gain K of one edge", "fully open", c.edge_gain / LITRE_PER_MINUTE * BAR**0.5, "l/(min √bar)"),
         ("rated flow", rated, valve.rated_flow / LITRE_PER_MINUTE, "l/min"),
         ("spool at 10 V", "full = 1", min(FULL_VOLTAGE * spool_per_volt, 1.0), "1"),
@@ -145,13 +145,13 @@ def _valve(parameters: PlantParameters) -> list[Row]:
     return rows
 
 
-def _speeds(parameters: PlantParameters) -> list[Row]:
+def _speeds(parameters: PlantParameters) -> Rows:
     c, supply, external = plant_coefficients(parameters), parameters.supply, parameters.load.external_force
     free, limits = speed_limits(parameters), force_limits(parameters)
     slow_out = speed_limits(parameters, external + limits.extending * 2 / 3).extending
     slow_in = speed_limits(parameters, external - limits.retracting * 2 / 3).retracting
-    rows: list[Row] = []
-    lasting: list[Row] = [("flow of the pump", "", supply.pump_flow / LITRE_PER_MINUTE, "l/min")]
+    rows: Rows = []
+    lasting: Rows = [("flow of the pump", "", supply.pump_flow / LITRE_PER_MINUTE, "l/min")]
     for way, speed, slow, area in (
         ("out", free.extending, slow_out, c.area_a),
         ("in", free.retracting, slow_in, c.area_b),
@@ -167,7 +167,7 @@ def _speeds(parameters: PlantParameters) -> list[Row]:
     return rows
 
 
-def _forces(parameters: PlantParameters) -> list[Row]:
+def _forces(parameters: PlantParameters) -> Rows:
     limits, (low, high) = force_limits(parameters), reachable_range(parameters)
     stiffness = parameters.load.spring_stiffness
     against = f"spring {stiffness / 1e3:g} N/mm" if stiffness else "stroke"
@@ -180,9 +180,9 @@ def _forces(parameters: PlantParameters) -> list[Row]:
     ]
 
 
-def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
+def _oscillation(parameters: PlantParameters, place: float) -> Rows:
     half, softest = 0.5 * parameters.cylinder.stroke, softest_position(parameters)
-    rows: list[Row] = []
+    rows: Rows = []
     for position in (-half, -0.5 * half, 0.0, 0.5 * half, half):
         frequency = closed_port_natural_frequency(parameters, position) / (2 * math.pi)
         rows.append(("natural frequency, ports shut", place_text(position), frequency, "Hz"))
@@ -197,7 +197,7 @@ def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
     return rows
 
 
-def _loop(task: TaskConfig, place: float) -> list[Row]:
+def _loop(task: TaskConfig, place: float) -> Rows:
     largest, friction = "largest stable gain", "simulated with friction"
     places = places_in_reach(task.plant)
     span = f"worst, {places[0] / MILLIMETRE:+.0f} to {places[-1] / MILLIMETRE:+.0f} mm"
@@ -206,7 +206,7 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
         f"{place_text(place)}, {leak_text(leak)}": beyond_dead_band(leaking(task.plant, leak))
         for leak in EXAMINED_LEAKS
     }
-    rows: list[Row] = []
+    rows: Rows = []
     healthy = None
     for leak, (here, plant) in zip(EXAMINED_LEAKS, plants.items(), strict=True):
         rows.append((timed, here, _figure(_largest_gain, plant, place, task), "1/m"))
@@ -237,14 +237,14 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
     return rows
 
 
-def _resonances(task: TaskConfig, place: float, gain: list[Any]) -> list[Row]:
+def _resonances(task: TaskConfig, place: float, gain: list[Any]) -> Rows:
     """Oscillations of an axis with a second mass or with waves in its lines, alone and with the recommended gain.
 
     With the gain, each is followed from its eigenvalue exp(λ T) of the sampled loop without feedback. A damping below
     zero grows: the gain excites it, as far as dry friction does not stop it.
     """
     plant = beyond_dead_band(leaking(task.plant, HEALTHY_LEAK))
-    rows: list[Row] = []
+    rows: Rows = []
     if not (plant.structure.tip or plant.structure.lines):
         return rows
     try:

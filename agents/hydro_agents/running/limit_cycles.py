@@ -54,8 +54,7 @@ def standstill_task(config: TaskConfig) -> TaskConfig:
 
     The step is as small as the task's steps can be.
     """
-    seconds = (BEFORE, KICK, SETTLING + JUDGED)
-    begin, end, last = (round(time / config.control_period) for time in np.cumsum(seconds))
+    begin, end, last = (round(time / config.control_period) for time in np.cumsum([BEFORE, KICK, SETTLING + JUDGED]))
     steps = np.repeat([0.0, config.references.step_range[0], 0.0], [begin, end - begin, last + 1 - end])
     return own_reference(noiseless(config), steps)
 

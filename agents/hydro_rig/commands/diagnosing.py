@@ -213,9 +213,8 @@ def leak_test(
             pages.write_plan(folder, planned, command_line())
         say(*(folder / name for name in files), planned.line())
         return
-    mapped = read_map(columns)
     with shown():
-        found, quantities = read_leak_test(recording, config, mapped)
+        found, quantities = read_leak_test(recording, config, read_map(columns))
     with output_folder(folder, pages.JOB, files, overwrite=overwrite):
         pages.write_reading(folder, found, quantities, command_line())
     say(*lines_of(found.checked.findings), folder / files[0], found.verdict.line())

@@ -123,7 +123,6 @@ def identify(
     refuse_taken(output, JOB, FILES, overwrite)
     known = read_rig(rig)
     config = task_config(task, rig=known.source)
-    maps = maps_of(columns or [], recordings)
     with shown():
-        found = identify_recordings(recordings, config, known, maps, hold_back or [])
+        found = identify_recordings(recordings, config, known, maps_of(columns or [], recordings), hold_back or [])
     say(*identify_to_folder(output, found, overwrite, command_line()))

@@ -76,8 +76,11 @@ def diagnosis_page(
     axes = time_panels(("leak, l/min at 100 bar", *PANELS), 9.5, height_ratios=[1.7, 1, 1, 1])
     draw_leak(axes[0], diagnosis)
     draw_signals(axes[1:], recording.time, recording.signals)
-    note = "Each point is one window with its 90 % interval; a hollow one does not count."
-    page.figure(axes, "Leak and measured signals", f"{note} Green: healthy. Orange: faults.")
+    page.figure(
+        axes,
+        "Leak and measured signals",
+        "Each point is one window with its 90 % interval; a hollow one does not count. Green: healthy. Orange: faults.",
+    )
     page.heading("The recording")
     if diagnosis.checked.findings:
         page.table(findings_frame(diagnosis.checked.findings), "Findings", words=True)

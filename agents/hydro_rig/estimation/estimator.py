@@ -34,6 +34,7 @@ from hydro_rig.estimation.unknowns import (
     EXTERNAL_RESISTANCE,
     LEAKAGE,
     Prior,
+    Priors,
     default_unknowns,
 )
 
@@ -132,7 +133,7 @@ class EstimatorDetector:
         windows: Windows,
         task: TaskConfig,
         names: tuple[str, ...],
-        priors: Mapping[str, Prior],
+        priors: Priors,
         begin: tuple[Estimate, Indices] | None = None,
         **changes: Any,
     ) -> Estimate:

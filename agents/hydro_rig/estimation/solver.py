@@ -7,7 +7,7 @@ which leaves a small problem of the shared unknowns.
 :func:`misfit_of` says whether the result explains the readings: whether the residuals look like the sensors' noise.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from hydro_agents.running.jobs import Report
 from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.estimation.model import SHORT_STEP, Model
 from hydro_rig.estimation.result import Errors, whitened
-from hydro_rig.estimation.unknowns import Prior
+from hydro_rig.estimation.unknowns import Priors
 
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # factors on the damping; the best of their steps is taken
 SMALL_DAMPING = 1e-2  # damping up to which a step is nearly a Gauss–Newton step
@@ -40,7 +40,7 @@ class Problem(NamedTuple):
         """Some of the windows."""
         return Problem(self.model.part(windows), self.measured[windows], self.errors and self.errors.part(windows))
 
-    def with_more(self, priors: Mapping[str, Prior]) -> "Problem":
+    def with_more(self, priors: Priors) -> "Problem":
         """The same windows with more unknowns behind the others."""
         return self._replace(model=self.model.with_more(priors))
 

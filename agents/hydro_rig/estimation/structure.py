@@ -13,7 +13,7 @@ from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.types import ByName, Mask
 from hydro_rig.estimation.result import SHORT, Estimate
-from hydro_rig.estimation.unknowns import Prior, course_of, prior_of
+from hydro_rig.estimation.unknowns import Prior, Priors, course_of, prior_of
 
 LEAST_GAIN = 10.0  # of twice the log-likelihood per unknown of a part, by which the part is believed
 LEAST_GAIN_OF_STEP = 3.0  # the same per step of a moving supply: each changes a part of the window alone
@@ -37,7 +37,7 @@ LAP, USUAL_LAP = "valve.overlap", 0.01
 class Lacking(NamedTuple):
     """A part that the model of a rig lacks: the unknowns that it adds, and what changes in the task."""
 
-    priors: Mapping[str, Prior]
+    priors: Priors
     changes: ByName = {}
     least_gain: float = LEAST_GAIN
 

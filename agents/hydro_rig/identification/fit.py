@@ -32,7 +32,7 @@ from hydro_rig.estimation.unknowns import (
     EXTERNAL_LEAKAGE,
     EXTERNAL_RESISTANCE,
     LEAKAGE,
-    Prior,
+    Priors,
     priors_of,
     starts_of,
 )
@@ -125,7 +125,7 @@ def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distr
     return min(ends), max(ends)
 
 
-def range_ends(config: TaskConfig, ranges: Ranges, priors: Mapping[str, Prior]) -> Floats:
+def range_ends(config: TaskConfig, ranges: Ranges, priors: Priors) -> Floats:
     """Ends of the ranges of some unknowns, (p, 2), scaled by their priors; infinite without a range of its own."""
     ends = np.tile([-np.inf, np.inf], (len(priors), 1))
     for place, (name, prior) in enumerate(priors.items()):

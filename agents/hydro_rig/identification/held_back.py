@@ -14,7 +14,17 @@ from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SE
 from hydro_env.types import Floats, Mask
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.model import Model, noise_of
-from hydro_rig.estimation.unknowns import BIASES, GAINS, LATENCY, NULL_DRIFT, RISE_TIME, Prior, priors_of, starts_of
+from hydro_rig.estimation.unknowns import (
+    BIASES,
+    GAINS,
+    LATENCY,
+    NULL_DRIFT,
+    RISE_TIME,
+    Prior,
+    Priors,
+    priors_of,
+    starts_of,
+)
 from hydro_rig.recordings.parts import Stretch
 
 JUDGED_OVER = 2.0
@@ -96,7 +106,7 @@ class _Rig(NamedTuple):
     config: TaskConfig
     physical: Floats  # parameters of its plant
     bias: Floats  # (channels, 1), SI
-    timing: Mapping[str, Prior]  # found timing and gains, where those of the task do not hold
+    timing: Priors  # found timing and gains, where those of the task do not hold
 
     def forecasts(self, signals: Floats, edge: Floats) -> Floats:
         """Measured and simulated readings of forecasts from states along a part, (2, N, channels, T)."""
@@ -110,8 +120,7 @@ class _Rig(NamedTuple):
             return NO_FORECASTS
         inside = np.array(starts)[:, None] + np.arange(whole)
         windows, boundary = (np.moveaxis(values[:, inside], 0, 1) for values in (signals, edge))
-        read = self.simulated(windows, boundary, count, NULL_DRIFT)
-        return np.stack([windows[:, :COMMAND], read])[..., count:]
+        return np.stack([windows[:, :COMMAND], self.simulated(windows, boundary, count, NULL_DRIFT)])[..., count:]
 
     def simulated(self, windows: Floats, boundary: Floats, count: int, *more: str) -> Floats:
         """Readings (N, channels, T) of windows (N, 5, T), simulated from what their first ``count`` periods say.

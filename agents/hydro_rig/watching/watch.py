@@ -65,13 +65,12 @@ def row_of(recording: Recording, config: TaskConfig, oil: Oil, most: int = MOST_
     with told_to(None):  # a file is one step of the progress
         found = diagnosed(recording, config, choose, partial(read_windows, threads=1), oil)
     verdict = found.verdict
-    leak = verdict.leak or NO_LEAK
     told = [one for one in found.checked.findings if one.weight is Weight.FAULT or one.signal == "oil_temperature"]
     return {
         "verdict": verdict.kind.value,
         "reason": "; ".join(dict.fromkeys(filter(None, [verdict.why, *lines_of(told)]))),
         "temperature": found.temperature,
-        **dict(zip(SIZES, leak, strict=True)),
+        **dict(zip(SIZES, verdict.leak or NO_LEAK, strict=True)),
     }
 
 
@@ -111,8 +110,9 @@ def watch(places: Sequence[Path], table_file: Path, fleet: Fleet, jobs: int = 1)
     new = [file for file in files if known.get(file.name) != file.size]
     errors = {file.name: why for file in new if (why := fleet.missing(file.axis))}
     readable = [file for file in new if file.name not in errors]
-    row_or_error = delayed(_row_or_error)
-    rows = Parallel(jobs, return_as="generator")(row_or_error(file, fleet.axis(file.axis)) for file in readable)
+    rows = Parallel(jobs, return_as="generator")(
+        delayed(_row_or_error)(file, fleet.axis(file.axis)) for file in readable
+    )
     stored, written = table, monotonic()
     try:
         for done, (file, row) in enumerate(zip(readable, rows, strict=True), 1):
