@@ -7,22 +7,25 @@ import numpy as np
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.registry import kind_of
-from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PREVIEW_SCALE, Normalisation, PolicyFeatures
+from hydro_agents.learning.features import (
+    AVERAGED,
+    AVERAGING_TIMES,
+    HISTORY_LAGS,
+    HISTORY_SIGNALS,
+    PREVIEW_SCALE,
+    Normalisation,
+    PolicyFeatures,
+)
 from hydro_agents.learning.rig_gains import GainsFor, chosen_gains
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES
 from hydro_env import TaskConfig, task_config
 from hydro_env.task.paces import full_speed, pace, periods_per_step
 from hydro_env.task.signals import data_sheet
-from hydro_env.types import ByName, Floats, Indices, Singles
+from hydro_env.types import ByName, Floats, Singles
 
 PREVIEW_PACES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # of the reference that a policy for any axis sees
 FINER_PACES = (0.25, 0.75)  # more of them for one that acts alone
-AVERAGING_TIMES = (20.0, 100.0, 500.0)  # of the slow averages that such a policy sees, steps of the rig
-AVERAGED = [  # columns of the signals: the error; opening, and then speed, each while it opens outwards and inwards
-    HISTORY_SIGNALS.index(name)
-    for name in ("tracking_error", "spool_position", "spool_position", "velocity_estimate", "velocity_estimate")
-]
 USUAL_ERROR = 0.03  # of untuned flow linearisation, as a part of the travel at full speed in a pace; on the paper's rig
 CORRECTION_RANGE = (0.1, 3.0)  # of the correction's size, relative to that at the usual error
 ERROR_PLANTS = 8  # plants of each family of references on which the error is simulated
@@ -34,10 +37,9 @@ class AnyAxisFeatures(PolicyFeatures):
     They are the measured signals, the reference some paces ahead, what the corrected controller commands and estimates,
     a history in steps of the rig, and the data sheet. On a rig without a spool sensor the last command replaces it.
 
-    A policy that acts alone remembers slow averages, from which leak, flow gain and offset of the valve can be told: of
-    the tracking error, and of opening and speed by direction. It has units by similarity: those of untuned flow
-    linearisation on the rig of its task, on another rig in proportion to full speed, pace, stroke and supply pressure.
-    One law for dimensionless numbers serves all.
+    A policy that acts alone has units by similarity: those of untuned flow linearisation on the rig of its task, on
+    another rig in proportion to full speed, pace, stroke and supply pressure. One law for dimensionless numbers serves
+    all.
 
     A correction is as large as the rig allows: in proportion to the travel that the corrected controller's error is.
 
@@ -67,9 +69,6 @@ class AnyAxisFeatures(PolicyFeatures):
         super().__init__(config, base, correction * factor, full_preview=True, see_estimates=True, lags=lags)
         self.correction, self.error = correction, error
         self._paces = np.array(PREVIEW_PACES if base else sorted((*PREVIEW_PACES, *FINER_PACES)))
-        if base is None:
-            rates = 1.0 / (1.0 + periods * np.array(AVERAGING_TIMES))
-            self._blend = np.repeat(rates, len(AVERAGED)).astype(np.float32)
         own, horizon = pace(config), self._preview.horizon
         ahead = np.minimum(self._paces * own / config.control_period, horizon)
         columns = np.arange(horizon + 2)[:, None] - 1.0  # −1: the sample before now
@@ -98,27 +97,13 @@ class AnyAxisFeatures(PolicyFeatures):
         changes = np.tile(signals, (len(self.lags), 1))
         changes[:, 0] = speed * self.config.control_period * np.array(self.lags) / scale[0]
         ahead = np.minimum(np.array([*self._paces, 1.0]) * own, reach) * speed / PREVIEW_SCALE
-        averages = np.tile(signals[AVERAGED], len(AVERAGING_TIMES))
+        averages = np.tile(signals[[HISTORY_SIGNALS.index(name) for name in AVERAGED]], len(AVERAGING_TIMES))
         return np.concatenate([signals, ahead, averages, changes.ravel()])
 
     @property
     def size(self) -> int:
         """Number of inputs: those that move, and the data sheet."""
         return self.moving + len(self._sheet)
-
-    def _columns_of(self, names: tuple[str, ...]) -> Indices:
-        present = ["previous_command" if name not in self.layout.names else name for name in HISTORY_SIGNALS]
-        return super()._columns_of(tuple(present))
-
-    def _averaged(self, signals: Singles, correction: Singles) -> Singles:
-        if self.base is not None:
-            return correction
-        error, opening, _, speed, _ = (signals[:, column, None] for column in AVERAGED)
-        out = opening > 0.0
-        openings = [np.maximum(opening, 0.0), np.minimum(opening, 0.0)]
-        speeds = [np.where(out, speed, 0.0), np.where(out, 0.0, speed)]
-        both = np.concatenate([error, *openings, *speeds], axis=1, dtype=np.float32)
-        return np.tile(both, len(AVERAGING_TIMES))
 
     def _seen(self, inputs: Singles, signals: Singles, reference: Floats) -> list[Singles]:
         del inputs

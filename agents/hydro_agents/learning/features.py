@@ -36,6 +36,9 @@ HISTORY_SIGNALS = (
 )
 HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)  # ages of the samples in the history, in steps of the rig
 NEWEST = (1, 2, 3)  # control periods; on a slow rig, a training without these samples learns less
+AVERAGING_TIMES = (20.0, 100.0, 500.0)  # of the slow averages that a policy on its own may see, steps of the rig
+AVERAGED = ("tracking_error", "spool_position", "spool_position", "velocity_estimate", "velocity_estimate")
+"""The error; opening, and then speed, each while the valve opens outwards and inwards."""
 LASTING_TIME = 0.2  # s; time constant of the slow average of the correction. Integral action handles slower errors.
 PREVIEW_SCALE = 0.01  # m; scale of the rebuilt samples of the preview, the same as in the observation
 FEATURE_LIMIT = 50.0  # inputs of the policy are limited to ± this value
@@ -88,7 +91,9 @@ class FeatureState(NamedTuple):
     base: Any  # memory of the controller that the policy corrects; ``None`` without one
     ring: Singles  # recent signals (N, length, signals), the oldest first
     base_command: Singles  # command of the corrected controller at the last call, (N, 1)
-    lasting: Singles  # slow averages (first order), of the correction (:data:`LASTING_TIME`), (N, 1)
+    lasting: (
+        Singles  # slow averages (first order), of the correction (:data:`LASTING_TIME`) or of signals, (N, averages)
+    )
     reference: Floats  # the reference from one period ago to the farthest preview, m, (N, samples)
     hidden: Singles | None = None  # memory of a recurrent policy, (N, 2 cells)
 
@@ -102,7 +107,9 @@ class PolicyFeatures:
         residual_scale: command per 1 of the policy's output in the residual form.
         full_preview: whether the policy sees every sample of the preview; those between the shown ones come from
             memory.
-        see_estimates: whether the policy sees the estimates of the corrected controller.
+        see_estimates: whether the policy sees the estimates of the corrected controller. On its own it remembers slow
+            averages instead, from which leak, flow gain and offset of the valve can be told: of the tracking error, and
+            of opening and speed by direction.
         lags: ages of the samples in the history, in control periods; default: :func:`history_lags` of the task. Without
             any, the inputs of a policy that acts on its own are the observation.
 
@@ -129,18 +136,23 @@ class PolicyFeatures:
         self.config, self.base = config, base
         self.normalisation: Normalisation | Standardisation | None = None  # leaves the inputs as they are
         self.layout, self.full_preview = ObservationLayout.of(config), full_preview
-        self.residual_scale, self.see_estimates = 1.0, False
+        self.residual_scale, self.see_estimates = 1.0, see_estimates
         if base is not None:
-            self.residual_scale, self.see_estimates = residual_scale, see_estimates
+            self.residual_scale = residual_scale
             if see_estimates and not base.estimate_names:
                 raise ConfigurationError(f"see_estimates: {type(base).__name__} has no estimates")
         self.history = tuple(name for name in HISTORY_SIGNALS if name in self.layout.names)  # a rig may lack sensors
         self.lags = lags if lags is not None else history_lags(config)
-        self._columns = self._columns_of(self.history)
+        self._columns = self._columns_of(HISTORY_SIGNALS if self.for_any_axis else self.history)
         self._oldest = max(self.lags, default=0)
         self._past = self._oldest - np.array(self.lags, np.int64)  # places in the ring
         self._command_column = self.layout.index("previous_command")
+        self._averages = base is None and see_estimates
         self._blend: Any = np.float32(config.control_period / (config.control_period + LASTING_TIME))
+        if self._averages:
+            rates = 1.0 / (1.0 + periods_per_step(config) * np.array(AVERAGING_TIMES))
+            self._blend = np.repeat(rates, len(AVERAGED)).astype(np.float32)
+            self._averaged_columns = self._columns_of(AVERAGED)
         self._preview = Preview(config)
         self._rebuilt = np.setdiff1d(np.arange(self._preview.horizon + 2), [1, *(1 + n for n in self._preview.counts)])
 
@@ -189,7 +201,7 @@ class PolicyFeatures:
             ring[started] = signals[started, None]
             correction = np.where(restarts, zero, correction)
             reference[started] = self._preview.start(observation[started])
-        averaged = self._averaged(signals, correction)
+        averaged = self._averaged(inputs) if self._averages else correction
         lasting = averaged if begins else state.lasting + self._blend * (averaged - state.lasting)
         if restarts is not None:
             lasting = np.where(restarts, averaged, lasting)
@@ -198,7 +210,7 @@ class PolicyFeatures:
         state = state._replace(ring=ring, reference=reference)
         seen = self._seen(inputs, signals, reference)
         if self.base is None:
-            if self.for_any_axis:
+            if self._averages:
                 seen, state = [*seen, lasting], state._replace(lasting=lasting)
             return self._normalised([*seen, changes]), state
         command, memory = answer or self.base.predict(observation, state.base, episode_start)
@@ -210,13 +222,20 @@ class PolicyFeatures:
         state = state._replace(base=memory, base_command=command, lasting=lasting)
         return self._normalised([*seen, *own, changes]), state
 
-    def _averaged(self, signals: Singles, correction: Singles) -> Singles:
-        """What the slow averages are of."""
-        del signals
-        return correction
+    def _averaged(self, inputs: Singles) -> Singles:
+        """What the slow averages of a policy on its own are of, (N, averages)."""
+        error, opening, _, speed, _ = (inputs[:, column, None] for column in self._averaged_columns)
+        out = opening > 0.0
+        openings = [np.maximum(opening, 0.0), np.minimum(opening, 0.0)]
+        speeds = [np.where(out, speed, 0.0), np.where(out, 0.0, speed)]
+        both = np.concatenate([error, *openings, *speeds], axis=1, dtype=np.float32)
+        return np.tile(both, len(AVERAGING_TIMES))
 
     def _columns_of(self, names: tuple[str, ...]) -> Indices:
-        return np.array([self.layout.index(name) for name in names])
+        """Columns of signals in the observation; the last command stands for the spool where it has no sensor."""
+        return np.array(
+            [self.layout.index(name if name in self.layout.names else "previous_command") for name in names]
+        )
 
     def _seen(self, inputs: Singles, signals: Singles, reference: Floats) -> list[Singles]:
         """What the policy sees of the present observation and of the reference."""

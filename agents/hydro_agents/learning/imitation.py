@@ -55,7 +55,8 @@ class _Imitating:
             (actor if name.startswith(ACTOR) else critic).append(weights)
         for _ in range(self.n_epochs):
             for batch in self.rollout_buffer.get(self.batch_size):
-                actor_memory, critic_memory = (), ()
+                actor_memory: tuple[Any, ...] = ()
+                critic_memory: tuple[Any, ...] = ()
                 if recurrent:
                     actor_memory, critic_memory = ((part, batch.episode_starts) for part in batch.lstm_states)
                 distribution = self.policy.get_distribution(batch.observations, *actor_memory)

@@ -26,7 +26,9 @@ class PPOSettings(Group):
     residual_scale: float = Field(0.2, gt=0.0, le=2.0, description="command per 1 of the policy's output")
     applied_share: float = Field(1.0, gt=0.0, le=1.0, description="of the correction, after the training: more margin")
     full_preview: bool = Field(False, description="the policy sees every sample of the preview, some from memory")
-    see_estimates: bool = Field(False, description="the policy sees the estimates of the controller that it corrects")
+    see_estimates: bool = Field(
+        False, description="the policy sees the estimates of the controller that it corrects; on its own, slow averages"
+    )
     normalise: bool = Field(False, description="divide inputs by their typical sizes on training plants")
     family_units: Literal[False, True, "sensor"] = Field(
         False,
@@ -74,8 +76,6 @@ class PPOSettings(Group):
 
     @whole_group
     def _of_a_correction(self) -> Self:
-        if self.see_estimates and not self.residual:
-            raise ValueError("see_estimates: needs residual: true, a controller that the policy corrects")
         if self.family_units and not self.residual and self.teacher is None:
             raise ValueError("family_units: needs residual: true or a teacher, whose errors are the units")
         if self.teacher is not None and self.residual:
