@@ -51,8 +51,9 @@ def measured(block: Path, work: Path, words: dict[str, str], field: str, compile
         inputs |= {"enable": "1"} | {f"valid_{name}": f"{value} == {value}" for name, value in inputs.items()}
     values["inputs"] = " ".join(f"{text(name)} = {value};" for name, value in inputs.items())
     values["outputs"] = ", ".join(f"(double){text(name)}" for name in names[first:])
-    answered = f"row == n && v[n][{first}] == v[n][{first}]" if in_c else text("fresh")
-    values["due"], values["fresh"] = (f"n && v[n][{first}] != v[n - 1][{first}]", answered) if head else ("1", "1")
+    answered = "row == n" if in_c else text("fresh")
+    new = f"v[n][{first}] == v[n][{first}] && (v[n][0] || v[n][{first}] != v[n - 1][{first}])"
+    values["due"], values["fresh"] = (new, answered) if head else ("1", "1")
     main = "main.cpp" if str(compiler[0]) == "g++" else "main.c"
     (work / main).write_text(MAIN % {**values, **words})
     ran([*compiler, *FLAGS, main, "-o", "main", "-lm"], work)
