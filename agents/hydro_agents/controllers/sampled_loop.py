@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from hydro_env import PlantParameters, linearise
+from hydro_env import HydroError, PlantParameters, linearise
 from hydro_env.plant.analysis import reachable_range
 from hydro_env.plant.states import typical_sizes
 from hydro_env.task.paces import periods_late
@@ -137,8 +137,12 @@ def sampled_loop(
     is the worst case, because every opening adds damping. The position at rest is in m, times are in s.
 
     Raises:
-        HydroError: the position cannot be held.
+        HydroError: the position cannot be held, or period and latency do not fit.
     """
+    if not 0.0 < control_period < np.inf:
+        raise HydroError(f"control_period = {control_period} s: must be positive")
+    if not 0.0 <= latency < np.inf:
+        raise HydroError(f"latency = {latency} s: must not be negative")
     plant = linearise(parameters.replace(friction={"model": "none"}), position=position)
     active = plant.active_states  # any other state would add a pole at z = 1
     rows, size = [plant.names.index(name) for name in active], typical_sizes(active)

@@ -66,7 +66,7 @@ def record(
     told = [f"{output}: {done.rows} rows, {done.duration:g} s, leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"]
     if config.randomisation:
         told.append(f"parameters of the plant drawn by --seed {seed}")
-    if done.failed_at:
+    if done.failed_at is not None:
         told.append(f"the axis failed after {done.failed_at:g} s")
     say("; ".join(told))
 
