@@ -91,9 +91,7 @@ class FeatureState(NamedTuple):
     base: Any  # memory of the controller that the policy corrects; ``None`` without one
     ring: Singles  # recent signals (N, length, signals), the oldest first
     base_command: Singles  # command of the corrected controller at the last call, (N, 1)
-    lasting: (
-        Singles  # slow averages (first order), of the correction (:data:`LASTING_TIME`) or of signals, (N, averages)
-    )
+    lasting: Singles  # slow averages (first order), of the correction, (N, 1), or of signals, (N, averages)
     reference: Floats  # the reference from one period ago to the farthest preview, m, (N, samples)
     hidden: Singles | None = None  # memory of a recurrent policy, (N, 2 cells)
 

@@ -59,16 +59,16 @@ def compiled(
     if folder is None:
         with tempfile.TemporaryDirectory() as place:
             return compiled(sources, options, compiler, Path(place))
-    own = c_compiler()
-    if own is None and not compiler:
+    own = compiler or [c_compiler() or ""]
+    if not own[0]:
         raise HydroError("no C compiler found; install gcc or clang (the command is cc, gcc or clang)")
     for name, text in sources.items():
         (folder / name).write_text(text, encoding="utf-8")
     units = [name for name in sources if name.endswith(".c")]
-    command = [*(compiler or [str(own)]), "-std=c99", "-O2", *options, "-o", "out", *units, "-lm"]
+    command = [*own, "-std=c99", "-O2", *options, "-o", "out", *units, "-lm"]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if result.returncode != 0:
-        raise HydroError(f"{'ziglang' if compiler else own}: {(result.stderr.splitlines() or ['failed'])[0]}")
+        raise HydroError(f"{'ziglang' if compiler else own[0]}: {(result.stderr.splitlines() or ['failed'])[0]}")
     return (folder / "out").read_bytes()
 
 

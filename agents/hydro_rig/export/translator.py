@@ -134,7 +134,7 @@ class _Body(Expressions):
             raise self.failure(node.iter)
         first, last = typed[0][0] if len(typed) == 2 else "0", typed[-1][0]
         target = ast.unparse(node.target)
-        if typed == [("1", INT)] and len(indent) == 4:  # one window; a break would not compile
+        if typed == [("1", INT)] and len(indent) == 4:  # there is one window; a break of it would not compile
             self.module[target] = 0
             self._block(node.body, indent)
             return
