@@ -123,13 +123,13 @@ def _evaluate_detectors(head: Path | None, options: "Options") -> None:
 def _evaluate_on_drawn_rigs(
     law: dict[str, Any], agents: dict[str, str], plants: int | None, options: "Options"
 ) -> None:
-    """Run agents and untuned flow linearisation on rigs of the test split."""
+    """Run agents and untuned flow linearisation on the rigs of a law, by default those of the test split."""
     from hydro_agents.evaluation.drawn_rigs import PLANTS, on_drawn_rigs, summary
     from hydro_agents.running.console import console_table
     from hydro_agents.running.text import Table
     from hydro_env import task_config
 
-    drawn = task_config(options.task, law=law | {"split": "test", "count": TEST_RIGS})
+    drawn = task_config(options.task, law={"split": "test", "count": TEST_RIGS} | law)
     with working_in(options.output, "evaluate", ["rigs.csv"], options.resume, options.overwrite) as display:
         rows = on_drawn_rigs(drawn, agents, plants or PLANTS, options.output, display.update)
         write_whole(options.output / "rigs.csv", rows.to_csv(index=False).encode())

@@ -85,10 +85,12 @@ def on_drawn_rigs(
     """
     jobs = {}
     assert drawn.law
+    first_rig = rig_tasks(task_config(drawn, law={"count": 1, "preview_paces": ()}))[0]
     for name, what in {UNTUNED: "flow_linearising", **agents}.items():
-        of_rig = what in (*CONTROLLERS, *SHIPPED_WEIGHTS)
+        of_rig, digest = ":" not in what, what
         controller = None if of_rig else load_controller(what, drawn, name)
-        digest = what if of_rig else fingerprint(controller)
+        if what not in (*CONTROLLERS, *SHIPPED_WEIGHTS):
+            digest = fingerprint(controller or load_controller(what, first_rig, name))
         for number in range(drawn.law.count):
             jobs[f"{name}|{number}"] = Job(on_rig, controller, (what, drawn, number, plants), digest)
     first = {key: job for key, job in jobs.items() if key.endswith("|0")}  # an agent that fails, fails at once
@@ -96,10 +98,10 @@ def on_drawn_rigs(
     rows = {}
     for part, told in ((first, None), (others, progress)):
         for key, answer in run_jobs(part, folder, told).items():
-            name = key.partition("|")[0]
+            name, _, number = key.partition("|")
             if answer.error:
-                raise ConfigurationError(f"{name}: {answer.error}")
-            rows[key] = pd.DataFrame({"agent": name, **answer.metrics})
+                raise ConfigurationError(f"{name}, rig {number}: {answer.error}")
+            rows[key] = pd.DataFrame({"agent": name.partition("#")[0], **answer.metrics})
     return pd.concat([rows[key] for key in jobs], ignore_index=True)
 
 
@@ -118,7 +120,7 @@ def in_words(ratio: pd.Series) -> list[str]:
 
 def beside_untuned(rows: pd.DataFrame, by: str) -> Iterator[tuple[str, pd.DataFrame, list[str]]]:
     """Each controller of the column ``by``, its rows, and its errors relative to untuned flow linearisation's."""
-    errors = rows.pivot(index="rig", columns=by, values="error_um")
+    errors = rows.pivot_table("error_um", "rig", by)  # of the seeds of a training, the mean
     for name in rows[by].unique():
         yield name, rows[rows[by] == name], in_words((errors[name] / errors[UNTUNED]).dropna())
 

@@ -196,6 +196,7 @@ class PolicyController:
             "a features extractor of its own": type(policy.features_extractor).__name__ != "FlattenExtractor",
             "squash_output": policy.squash_output,
             "several recurrent layers": getattr(getattr(policy, "lstm_actor", None), "num_layers", 1) > 1,
+            "a policy of its own": _foreign(policy) or _foreign(policy.mlp_extractor),
         }
         for what, present in unknown.items():
             if present:
@@ -299,6 +300,11 @@ class PolicyController:
         return policy
 
 
+def _foreign(thing: Any) -> bool:
+    """Whether the class of a thing may do what a copy of weights does not."""
+    return type(thing).__module__.partition(".")[0] not in ("stable_baselines3", "sb3_contrib", "gymnasium")
+
+
 def _features_of(model: Any) -> PolicyFeatures:
     """What maps observations to the inputs of a model, from its environment.
 
@@ -306,12 +312,21 @@ def _features_of(model: Any) -> PolicyFeatures:
         ConfigurationError: it has no environment of this project, or one that scales features twice.
     """
     env, scaling = model.get_env(), None
-    while hasattr(env, "venv"):  # wrappers
+    wrappers = []
+    while hasattr(env, "venv"):
+        wrappers.append(env)
         if getattr(env, "norm_obs", False):
             if scaling is not None:
                 raise ConfigurationError("from_sb3: VecNormalize scales observations twice: one must be absent")
             scaling = env
         env = env.venv
+    for each in getattr(env, "envs", ()):
+        while isinstance(each, gym.Wrapper):
+            wrappers.append(each)
+            each = each.env
+    for each in wrappers:
+        if _foreign(each):
+            raise ConfigurationError(f"from_sb3: {type(each).__name__} may change the environment: must be absent")
     for wrapper in (gym.ObservationWrapper, gym.ActionWrapper):
         if env is not None and any(env.env_is_wrapped(wrapper)):
             raise ConfigurationError(

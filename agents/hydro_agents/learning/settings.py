@@ -81,6 +81,8 @@ class PPOSettings(Group):
         if self.teacher is not None and self.residual:
             raise ValueError("teacher: needs residual: false, a policy that acts on its own")
         if self.law is not None:
+            if self.law.split == "test":
+                raise ValueError("law.split = test: nobody trains on test rigs; allowed: training, validation")
             if not self.normalise or not (self.residual or self.teacher):
                 raise ValueError("law: needs normalise: true, and residual: true or a teacher")
             if self.together > self.law.count:

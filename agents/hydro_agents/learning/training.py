@@ -224,6 +224,8 @@ def train_policy(
     model.set_logger(training_logger(folder, 0 if earlier is None else earlier.steps))
     try:
         if earlier is not None:
+            if earlier.steps - settings.axes * settings.steps_per_rollout >= settings.total_steps:
+                raise ConfigurationError(f"total_steps = {settings.total_steps}: {earlier.steps} are done already")
             restore(model, env, earlier)
             callback.seconds_before = earlier.seconds
         if model.num_timesteps < settings.total_steps:

@@ -272,6 +272,11 @@ def test_rigs_give_way_to_the_next_and_a_resumed_training_goes_on_with_them(poli
     np.testing.assert_equal([bias for _, bias in resumed.layers], [bias for _, bias in whole.layers])
     with refused("rigs_together = 8: must not exceed law.count = 7"):
         validate(PPOSettings, settings.model_dump() | {"rigs_together": 8}, "test")
+    with refused("law.split = test: nobody trains on test rigs"):
+        validate(PPOSettings, settings.model_dump() | {"law": {"split": "test"}}, "test")
+    with refused("total_steps = 100: .* are done already"):
+        less = settings.model_copy(update={"total_steps": 100})
+        train_policy(TASK, less, seed=1, folder=tmp_path / "parts", resume=True)
 
 
 def test_a_resumed_training_makes_only_the_rigs_that_it_needs():

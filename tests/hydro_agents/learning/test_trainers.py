@@ -1,5 +1,6 @@
 """Trainers by name: PPO, and another algorithm in one file."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -8,6 +9,7 @@ from refusal import refused
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, TD3
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
@@ -132,14 +134,18 @@ def test_models_that_do_not_fit_are_refused():
     own = PPO("MlpPolicy", plain, policy_kwargs={"features_extractor_class": _Own}, **small)
     twice = PPO("MlpPolicy", VecNormalize(VecNormalize(plain)), **small)
     deep = RecurrentPPO("MlpLstmPolicy", plain, policy_kwargs={"n_lstm_layers": 2}, **small)
+    slow, halved = (type(name, (kind,), {}) for name, kind in (("Slow", gym.Wrapper), ("Halved", ActorCriticPolicy)))
     wrapped = make_vec_env("ServoHydraulic-v0", 1, wrapper_class=RescaleAction, wrapper_kwargs=SCALED)
     rescaled = PPO("MlpPolicy", wrapped, **small)
+    slowed = PPO("MlpPolicy", make_vec_env("ServoHydraulic-v0", 1, wrapper_class=slow), **small)
     for model, part in (
         (squashed, "squash_output"),
         (own, "features extractor"),
         (twice, "twice"),
         (deep, "several recurrent layers"),
         (rescaled, "ActionWrapper changes the environment"),
+        (slowed, "Slow may change the environment"),
+        (PPO(halved, plain, **small), "a policy of its own"),
         ("mine", "must be an MlpPolicy"),
     ):
         with refused(part):
