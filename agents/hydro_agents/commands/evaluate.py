@@ -69,7 +69,8 @@ def evaluate(
     out, with one line each.
 
     With `--rig drawn` agents on the observation of `rig="drawn"` run on 100 rigs of the test split, beside untuned flow
-    linearisation on each. The command prints ratios of errors and returns.
+    linearisation on each; a law in a file of its own chooses others (`law: {split: validation, count: 20}`). Weights of
+    a policy for any axis run there as well. The command prints ratios of errors and returns.
 
     With `--protocol` the controllers of the study `opponents` (or of `--config`) and your own run under every condition
     of a protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--task` and `--rig` replace

@@ -45,7 +45,8 @@ class PPOSettings(Group):
     start: str | None = Field(None, description="path of weights of the same inputs and layers to begin with")
     teacher: str | None = Field(
         None,
-        description="shipped controller that a policy without residual imitates first; of a law with gains for any rig",
+        description="controller that a policy without residual imitates first: shipped, module:attribute, or weights; "
+        "of a law: shipped, with gains for any rig",
     )
     imitated_share: float = Field(0.5, gt=0.0, le=1.0, description="part of the training in which it imitates")
     imitation_rate: float = Field(1e-3, gt=0.0, le=1.0, description="learning rate then; falls to a hundredth")

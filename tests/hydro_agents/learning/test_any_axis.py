@@ -275,8 +275,7 @@ def test_rigs_give_way_to_the_next_and_a_resumed_training_goes_on_with_them(poli
     with refused("law.split = test: nobody trains on test rigs"):
         validate(PPOSettings, settings.model_dump() | {"law": {"split": "test"}}, "test")
     with refused("total_steps = 100: .* are done already"):
-        less = settings.model_copy(update={"total_steps": 100})
-        train_policy(TASK, less, seed=1, folder=tmp_path / "parts", resume=True)
+        train_policy(TASK, settings.changed(total_steps=100), seed=1, folder=tmp_path / "parts", resume=True)
 
 
 def test_a_resumed_training_makes_only_the_rigs_that_it_needs():

@@ -47,3 +47,5 @@ def test_what_a_teacher_needs_is_said():
         validate(PPOSettings, SMALL | {"residual": True}, "test")
     with refused("family_units: needs residual: true or a teacher"):
         validate(PPOSettings, {"residual": False, "family_units": True}, "test")
+    with refused("teacher: 'nobody': unknown; known: pid, .*module:attribute"):
+        train_policy(TASK, validate(PPOSettings, SMALL | {"teacher": "nobody"}, "test"))
