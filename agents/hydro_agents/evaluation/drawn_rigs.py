@@ -91,8 +91,8 @@ def on_drawn_rigs(
         controller = None if of_rig else load_controller(what, drawn, name)
         if what not in (*CONTROLLERS, *SHIPPED_WEIGHTS):
             digest = fingerprint(controller or load_controller(what, first_rig, name))
-        for number in range(drawn.law.count):
-            jobs[f"{name}|{number}"] = Job(on_rig, controller, (what, drawn, number, plants), digest)
+        for rig in range(drawn.law.count):
+            jobs[f"{name}|{rig}"] = Job(on_rig, controller, (what, drawn, rig, plants), digest)
     first = {key: job for key, job in jobs.items() if key.endswith("|0")}  # an agent that fails, fails at once
     others = {key: job for key, job in jobs.items() if key not in first}
     rows = {}
