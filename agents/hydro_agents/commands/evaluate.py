@@ -91,6 +91,8 @@ def evaluate(
             refuse_given(without | {"--period": period, "--latency": latency}, "has no meaning on drawn rigs")
             options = Options(task, None, output or DRAWN, resume, overwrite)
             with workers(jobs):
+                test = {"split": "test", "count": TEST_RIGS}
+                law = law | test if str(rig) == "drawn" else test | law
                 _evaluate_on_drawn_rigs(law, named_agents(agent), plants, options)
             return
         rig = config_file("rigs", rig)
@@ -130,14 +132,14 @@ def _evaluate_on_drawn_rigs(
     from hydro_agents.running.text import Table
     from hydro_env import task_config
 
-    drawn = task_config(options.task, law={"split": "test", "count": TEST_RIGS} | law)
+    drawn = task_config(options.task, law=law)
     with working_in(options.output, "evaluate", ["rigs.csv"], options.resume, options.overwrite) as display:
         rows = on_drawn_rigs(drawn, agents, plants or PLANTS, options.output, display.update)
         write_whole(options.output / "rigs.csv", rows.to_csv(index=False).encode())
     header = ("agent", "rigs", "error ÷ untuned, median (95 %)", "geometric mean", "better on", "range", "failures")
     table = Table("", (*header, "return ± sd"), [tuple(row) for row in summary(rows)])
     display.console.table(console_table(table, whole=True))
-    display.say(f"rigs: {(options.output / 'rigs.csv').resolve()}")
+    display.say(f"rigs, {law['split']} split: {(options.output / 'rigs.csv').resolve()}")
 
 
 def _evaluate_controllers(agents: dict[str, str], config: Path | None, plants: int | None, options: "Options") -> None:

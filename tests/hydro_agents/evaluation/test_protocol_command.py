@@ -19,6 +19,10 @@ class Calm:
 class Wild(Calm):
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         return np.full((len(observation), 1), np.nan), None
+
+class Telling(Calm):
+    def __init__(self, task):
+        raise ValueError(f"{task.law.count} rigs, {task.law.split}")
 """
 
 
@@ -65,6 +69,7 @@ def test_a_failing_agent_is_named_and_resuming_uses_the_finished_jobs(place):
     [
         (("--protocol", "robst"), ("protocol 'robst': unknown", "quick, robustness")),
         (("--rig", "drawn", "--period", "1ms"), ("--period: has no meaning on drawn rigs",)),
+        (("--rig", "drawn", "--agent", "x=robust_agents:Telling"), ("100 rigs, test",)),
         (("--protocol", "own.yaml", "--plants", "9"), ("--plants", "from its file")),
         (("--protocol", "leakage_quick", "--agent", "x=pid"), ("--agent: a protocol takes it from its file",)),
     ],

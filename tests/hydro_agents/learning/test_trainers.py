@@ -127,14 +127,12 @@ def test_models_that_do_not_fit_are_refused():
     stacked = VecFrameStack(plain, 2)
     with refused("has 26 inputs: must be 13"):
         PolicyController.from_sb3(PPO("MlpPolicy", stacked, n_steps=8, batch_size=8, device="cpu"))
-    with refused("TD3Policy: must be an MlpPolicy of tanh or relu"):
-        PolicyController.from_sb3(TD3("MlpPolicy", plain, device="cpu", buffer_size=10))
     small = {"n_steps": 8, "batch_size": 8, "device": "cpu"}
     squashed = PPO("MlpPolicy", plain, use_sde=True, policy_kwargs={"squash_output": True}, **small)
-    own = PPO("MlpPolicy", plain, policy_kwargs={"features_extractor_class": _Own}, **small)
+    slow, halved, reading = (type("Own", (kind,), {}) for kind in (gym.Wrapper, ActorCriticPolicy, FlattenExtractor))
+    own = PPO("MlpPolicy", plain, policy_kwargs={"features_extractor_class": reading}, **small)
     twice = PPO("MlpPolicy", VecNormalize(VecNormalize(plain)), **small)
     deep = RecurrentPPO("MlpLstmPolicy", plain, policy_kwargs={"n_lstm_layers": 2}, **small)
-    slow, halved = (type(name, (kind,), {}) for name, kind in (("Slow", gym.Wrapper), ("Halved", ActorCriticPolicy)))
     wrapped = make_vec_env("ServoHydraulic-v0", 1, wrapper_class=RescaleAction, wrapper_kwargs=SCALED)
     rescaled = PPO("MlpPolicy", wrapped, **small)
     slowed = PPO("MlpPolicy", make_vec_env("ServoHydraulic-v0", 1, wrapper_class=slow), **small)
@@ -144,8 +142,9 @@ def test_models_that_do_not_fit_are_refused():
         (twice, "twice"),
         (deep, "several recurrent layers"),
         (rescaled, "ActionWrapper changes the environment"),
-        (slowed, "Slow may change the environment"),
+        (slowed, "Own may change the environment"),
         (PPO(halved, plain, **small), "a policy of its own"),
+        (TD3("MlpPolicy", plain, device="cpu", buffer_size=10), "TD3Policy: must be an MlpPolicy of tanh or relu"),
         ("mine", "must be an MlpPolicy"),
     ):
         with refused(part):
@@ -155,7 +154,3 @@ def test_models_that_do_not_fit_are_refused():
 
 
 SCALED = {"min_action": -10.0, "max_action": 10.0}
-
-
-class _Own(FlattenExtractor):
-    """Stands for a network of the user's."""
