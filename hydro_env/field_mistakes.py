@@ -58,7 +58,8 @@ def _message(root: Schema, path: Path, given: Any, mistake: Mapping[str, Any]) -
     unit = f" (unit: {schema['unit']})" if "unit" in schema else ""
     if kind == "extra_forbidden":
         fields = _schema_at(root, path[:-1]).get("properties", {})
-        return f"unknown key{did_you_mean(path[-1], fields) or (fields and '; known here: ' + ', '.join(fields)) or ''}"
+        known = f"; known here: {', '.join(fields)}" if fields else ""
+        return f"unknown key{did_you_mean(path[-1], fields) or known}"
     if kind == "missing":
         return "is missing"
     if kind == "value_error":  # of a validator of this project

@@ -81,7 +81,11 @@ def load_policy(path: Path, config: TaskConfig, gains: GainsFor, trainer: "Train
 
 
 def load_controller(
-    what: Controller | str | Path, config: TaskConfig, name: str, trainer: "Trainer | None" = None
+    what: Controller | str | Path,
+    config: TaskConfig,
+    name: str,
+    trainer: "Trainer | None" = None,
+    gains: GainsFor = searched_gains,
 ) -> Controller:
     """A controller for a task.
 
@@ -92,6 +96,7 @@ def load_controller(
         config: the task.
         name: for messages.
         trainer: trainer that loads weights; default PPO.
+        gains: finds the gains that depend on the rig, as for :func:`shipped`.
 
     Raises:
         ConfigurationError: the controller does not exist, or needs other observations; the message names it.
@@ -107,7 +112,7 @@ def load_controller(
         hydro_env.errors.ConfigurationError: mine: 'pidd': unknown; did you mean pid? ...
     """
     with at(name):
-        controller = _named(found_in(what), config, trainer) if isinstance(what, str | Path) else what
+        controller = _named(found_in(what), config, trainer, gains) if isinstance(what, str | Path) else what
         check_predict(controller)
         layout = getattr(getattr(controller, "features", controller), "layout", None)
         if isinstance(layout, ObservationLayout):
@@ -115,9 +120,9 @@ def load_controller(
     return controller
 
 
-def _named(what: str, config: TaskConfig, trainer: "Trainer | None") -> Controller:
+def _named(what: str, config: TaskConfig, trainer: "Trainer | None", gains: GainsFor) -> Controller:
     if what in CONTROLLERS or what in SHIPPED_WEIGHTS:
-        return shipped(what, config, searched_gains)
+        return shipped(what, config, gains)
     if what.endswith(".zip"):
         raise ConfigurationError(
             f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in your own module "
@@ -130,7 +135,7 @@ def _named(what: str, config: TaskConfig, trainer: "Trainer | None") -> Controll
     if trainer is None and "/" not in what and not any(file.is_file() for file in weight_files(what)):
         names = unknown(what, (*CONTROLLERS, *SHIPPED_WEIGHTS))
         raise ConfigurationError(f"'{what}': {names}; or give module:attribute, or a path of weights")
-    return load_policy(Path(what), config, searched_gains, trainer)
+    return load_policy(Path(what), config, gains, trainer)
 
 
 def found_in(what: str | Path) -> str:

@@ -46,7 +46,7 @@ class PPOSettings(Group):
     teacher: str | None = Field(
         None,
         description="controller that a policy without residual imitates first: shipped, module:attribute, or weights; "
-        "of a law: shipped, with gains for any rig",
+        "of a law with gains for any rig",
     )
     imitated_share: float = Field(0.5, gt=0.0, le=1.0, description="part of the training in which it imitates")
     imitation_rate: float = Field(1e-3, gt=0.0, le=1.0, description="learning rate then; falls to a hundredth")

@@ -14,12 +14,12 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.controllers.registry import CONTROLLERS, kind_of
+from hydro_agents.controllers.registry import kind_of
 from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.checkpoint import Checkpoints, restore
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.imitation import ImitatingPPO, ImitatingRecurrentPPO
-from hydro_agents.learning.loading import SHIPPED_WEIGHTS, load_controller, shipped
+from hydro_agents.learning.loading import load_controller
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import Progress, TrainingCallback, training_logger
 from hydro_agents.learning.rig_gains import gain_sets
@@ -69,10 +69,8 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
             "observations as they are in the task, because the policy must work there"
         )
     teacher: Controller | None = None
-    if settings.teacher in (*CONTROLLERS, *SHIPPED_WEIGHTS):
-        teacher = shipped(settings.teacher, config, untuned_gains)
-    elif settings.teacher is not None:
-        teacher = load_controller(settings.teacher, config, "teacher")
+    if settings.teacher is not None:
+        teacher = load_controller(settings.teacher, config, "teacher", gains=untuned_gains)
     leader = teacher or features.base
     if settings.family_units and leader is not None:
         measured: Any = leader
