@@ -85,7 +85,7 @@ def load_controller(
     config: TaskConfig,
     name: str,
     trainer: "Trainer | None" = None,
-    gains: GainsFor = searched_gains,
+    gains: GainsFor | None = None,
 ) -> Controller:
     """A controller for a task.
 
@@ -96,7 +96,7 @@ def load_controller(
         config: the task.
         name: for messages.
         trainer: trainer that loads weights; default PPO.
-        gains: finds the gains that depend on the rig, as for :func:`shipped`.
+        gains: finds the gains that depend on the rig, as for :func:`shipped`; default: a search of a minute.
 
     Raises:
         ConfigurationError: the controller does not exist, or needs other observations; the message names it.
@@ -111,8 +111,9 @@ def load_controller(
             ...
         hydro_env.errors.ConfigurationError: mine: 'pidd': unknown; did you mean pid? ...
     """
+    finds = gains or searched_gains
     with at(name):
-        controller = _named(found_in(what), config, trainer, gains) if isinstance(what, str | Path) else what
+        controller = _named(found_in(what), config, trainer, finds) if isinstance(what, str | Path) else what
         check_predict(controller)
         layout = getattr(getattr(controller, "features", controller), "layout", None)
         if isinstance(layout, ObservationLayout):
