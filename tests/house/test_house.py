@@ -36,7 +36,7 @@ ROOMS = (
 )
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
-BUDGET = {"hydro_env": 60_742, "hydro_agents": 100_930, "hydro_rig": 106_283, "tests": 181_060}
+BUDGET = {"hydro_env": 60_742, "hydro_agents": 100_890, "hydro_rig": 106_283, "tests": 181_060}
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 
 NOT_INSTALLED = {"paper", "benchmarks", "challenge", "tests", "docs"}

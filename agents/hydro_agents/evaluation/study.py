@@ -62,12 +62,13 @@ class ControllerEntry(Group):
         kind = info.data.get("kind")
         if kind is None:
             return given
-        training = None if kind in CONTROLLERS else trainer(kind)
-        model: Any = CONTROLLERS[kind][1] if kind in CONTROLLERS else training and training.settings
-        for key in given if model and isinstance(given, Mapping) else ():
-            if key not in model.model_fields:
-                raise ValueError(f"{key}: unknown key{did_you_mean(key, model.model_fields)}")
-        return model.model_validate(given) if model else given
+        if kind in CONTROLLERS:
+            return CONTROLLERS[kind][1].model_validate(given)
+        try:
+            training = trainer(kind)
+        except ConfigurationError as error:
+            raise ValueError(str(error)) from None
+        return training.settings.model_validate(given) if training else given
 
     @cached_property
     def trainer(self) -> Trainer | None:

@@ -60,7 +60,7 @@ WRONG = (
     (BESIDE.format("kind: ppo, corrects: PID, tune: {}"), r"controllers.other: tune: a trained one cannot be tuned"),
     (BESIDE.format("kind: pid, corrects: PID"), r"controllers.other: corrects: only a trained one"),
     (BESIDE.format('kind: "gain_trainer:Settings"'), r"other: Settings: takes keywords alone, not TaskConfig"),
-    (BESIDE.format('kind: "gain_trainer:Trainer", settings: {total_stops: 1}'), r"total_stops: .* total_steps\?"),
+    (BESIDE.format('kind: "gain_trainer:Trainer", settings: {stops: 1}'), r"controllers.other.settings.stops"),
 )
 
 
