@@ -89,10 +89,10 @@ def evaluate(
         if law is not None:
             without = {"--config": config, "--protocol": protocol, "--head": head}
             refuse_given(without | {"--period": period, "--latency": latency}, "has no meaning on drawn rigs")
+            test = {"split": "test", "count": TEST_RIGS}
+            law = law | test if str(rig) == "drawn" else test | law
             options = Options(task, None, output or DRAWN, resume, overwrite)
             with workers(jobs):
-                test = {"split": "test", "count": TEST_RIGS}
-                law = law | test if str(rig) == "drawn" else test | law
                 _evaluate_on_drawn_rigs(law, named_agents(agent), plants, options)
             return
         rig = config_file("rigs", rig)
